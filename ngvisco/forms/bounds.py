@@ -22,10 +22,10 @@ The momentum density p = rho v has the s of rho (``limit_momentum``): |p|^2/(2 r
 the kinetic energy falls too if rho >= 0 before.  A body in translation stays so; limiting rho at a fixed
 momentum would change its motion.
 
-Only a mean out of bounds cannot be corrected; it ends a step.  Two kinds of bounds do not count: bounds of
-variables for which the material's energy is continued (``Material.continued``: a Yosida approximation,
-J_min), and, in a cell where phi'_z = 0, bounds of the variable z.  Bounds in ``Material.where_means_do``
-count only in cells whose means satisfy them, so that they end no step.
+Only a mean out of bounds cannot be corrected; the step is then given up.  Two kinds of bounds do not count:
+bounds of variables for which the material's energy is continued (``Material.continued``: a Yosida
+approximation, J_min), and, in a cell where phi'_z = 0, bounds of the variable z.  Bounds in
+``Material.where_means_do`` count only in cells whose means satisfy them, so that they end no step.
 
 A cut-off adds the bound rho_max + width - rho > 0 (paper: Euler-small-est3+++), if the state with which the
 bounds are made, the run's start, keeps it.
@@ -57,8 +57,8 @@ SMALLER = "a smaller step or a finer mesh"
 """Remedy for a state out of bounds."""
 
 _HALVINGS = 45
-"""Number of halvings of the interval of s, which determine s to rounding: limited states depend
-continuously on the states before."""
+"""Number of halvings of the interval of s, which determine s to rounding, so that a limited state depends
+continuously on the state before limiting."""
 
 _ON_WALL = 1e-9  # distance below which a point counts as on a wall, over the size of its cell
 _UNREAD = 1e-14  # size of phi' by a variable, over the median size of phi' in the mesh, which counts as zero
@@ -227,7 +227,8 @@ class Bounds:
     def lack(self) -> str | None:
         """Message where the present state, or its stored energy, is not a number; None if all are numbers.
 
-        The check of the energy covers the density and the variables: their NaN makes the energy NaN.
+        The check of the energy covers the density and the variables, because NaN in one of these makes the
+        energy NaN.
         """
         where = self.step.without_energy()
         if self._ranks.any(len(where) > 0):
@@ -238,8 +239,9 @@ class Bounds:
         return f"the unknown {bad[0]!r} of the state is no number somewhere" if bad else None
 
     def drift(self) -> str | None:
-        """Message that variables of one distortion differ by more than ``most`` in the mean of a cell; None
-        if no variables do, and for a run with sources, whose fields may differ."""
+        """Message that variables of one distortion differ by more than ``most`` in the mean of a cell. It is
+        None if no variables differ so much, and for a run with sources, in which the variables may
+        differ."""
         self._outside()
         if self.step.sources is not None or not self._ranks.any(not self._farthest <= self.most):
             return None  # no mean is farther than all points

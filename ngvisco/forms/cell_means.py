@@ -7,7 +7,8 @@ of its start; a discontinuous polynomial overshoots at jumps.  In a cell with a 
 parameter's mean is clipped to the range, and the parameter is scaled towards its mean (Zhang and Shu, J.
 Comput. Phys. 229, 2010).
 
-``Stretches`` keeps the tensors of bodies positive whose energies, linear in the tensors, do not ensure it.
+``Stretches`` keeps tensors of bodies positive if the bodies' energies, being linear in the tensors, do not
+do so.
 
 Body i carries n_i and X_i = n_i B, and C : (X_i - n_i I) has no minimum where X_i is not positive: such
 matter stretches without bound.  In a cell of the body where X_i is not positive at a point but its mean is
@@ -34,10 +35,10 @@ from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.parameters import Parameter
 
 SHARE = 1e-2
-"""The least share of the mean's bounded quantities that a limited cell keeps at every point.
+"""Least value of a bounded quantity at the points of a limited cell, over its value for the mean.
 
-A cell is limited only if a bounded quantity is <= 0 in it, not if it is below its share of the mean: a
-density that falls to zero along a line stays unchanged.
+A cell is limited only if a bounded quantity is <= 0 at a point, not if the quantity is only below this share
+of the mean: a density that falls to zero along a line stays unchanged.
 """
 
 
@@ -181,7 +182,8 @@ class Stretches:
         return np.unique(np.concatenate([np.zeros(0, dtype=int), *changed]))
 
     def _outside(self, content: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Points where X_i of a participating body is not positive, their cells, and B of cells' means."""
+        """Points where X_i of a participating body is not positive, the cells of these points, and B of the
+        cells' means."""
         signs = self.sampler.rows(self._signs[content])
         points = np.flatnonzero((signs[:, 0] > 0) & ~(signs[:, 1:] > 0).all(axis=1))
         if self.sampler.ranks.any(len(points) > 0):

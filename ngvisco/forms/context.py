@@ -80,7 +80,8 @@ class Context:
         self.energy = energy or StoredEnergy(model.material, mesh.dim)
         self.rates = Rates(model, mesh.dim, old.layout.symmetry.is_axisymmetric)
         self.recovered_slopes: dict[Interface, CoefficientFunction] = {}
-        """Slopes of interfaces' mean quantities for constants in cells (``RecoveredSlope``)."""
+        """Slopes of the quantities that mark interfaces, for fields that are constant in cells
+        (``RecoveredSlope``)."""
         self.lagged: UnknownValues = old
         """Fields at the step's start, for the variables that the material lags."""
         self.terms: Sequence[Any] = ()

@@ -23,11 +23,11 @@ In the step the conjugates of z are phi'_z(z; d_old, q_old), and of (d, q) phi'_
 
 both >= 0, although phi is not jointly convex.
 
-The ledger has the growth at a point and the new surface of cracks of each step: a crack that runs in one step
-has the stress of the step's start, so that the breaking load depends on the step's length.
+For each step the ledger has the growth at a point and the new surface of cracks. A crack that runs within
+one step has the stress of the step's start, so that the breaking load depends on the step's length.
 
 With heat, the dissipation xi by the viscosity of damage raises the entropy of each cell by c_K xi tau/theta,
-c_K such that the cell's energy rises by tau int_K xi, to rounding.
+where c_K makes the cell's energy rise by tau int_K xi, to rounding.
 """
 
 from __future__ import annotations
@@ -68,7 +68,8 @@ from ngvisco.physics.parameters import substituted
 from ngvisco.words import Mention, Words
 
 DISSIPATION, BREGMAN = "dissipation_damage", "bregman_damage"
-"""Ledger columns of the dissipation by growing damage, W, and by its half of the step, J a step."""
+"""Ledger columns of the dissipation by growing damage, W, and of the numerical dissipation in the damage's
+half of the step, J a step."""
 
 GROWTH, CRACKED = "damage_growth", "crack_growth"
 """Ledger columns of the largest growth of d at a point in a step, and of the area of new cracks in a step
@@ -83,7 +84,7 @@ _NEWTON, _ROUNDING = 10, 1e-15
 
 
 class Breaking(Protocol):
-    """A step as the growth of damage sees it."""
+    """The part of a step that the growth of damage needs."""
 
     mesh: Mesh
     model: Model

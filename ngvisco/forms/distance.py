@@ -31,9 +31,8 @@ _METHODS = ("energy", "slope", "distance")
 
 
 def storing(terms: Sequence[Term]) -> list[Storing]:
-    """The terms that have a share of the energy.
-
-    Raises ParameterError for a term with some but not all methods of ``Storing``, whose energy would be lost.
+    """The terms that have a share of the energy. Raises ParameterError for a term with only some of the
+    methods of ``Storing``, because its energy would be lost.
     """
     storing: list[Storing] = []
     for term in terms:

@@ -1,8 +1,9 @@
 """The stress at which a nonlinear flow rule is linearised, an unknown that is stored at the nodal points.
 
 Newton's method for z alone linearises rate(M(z)) (paper: ED-Euler-large3) at M(z).  For yield with a small
-viscosity G_m this tangent is right only within |M| G_m of the solution: an increment that turns M by an angle
-a increases |M| by |M| a^2/2, and the rate by |M| a^2/(2 G_m).  With the stress M* as an unknown beside M(z),
+viscosity G_m this tangent is right only within |M| G_m of the solution. The reason is that an increment
+which turns M by an angle a increases |M| by |M| a^2/2, and the rate by |M| a^2/(2 G_m).  With the stress M*
+as an unknown beside M(z),
 
     M* + c rate(M*) = Y,   M(z) = M*,   Pi = (Y - M*)/c,
 
@@ -110,9 +111,9 @@ class LinearisationStress:
             self._last = np.nan_to_num(np.minimum(share, 1.0)[..., None] * strain / self._softness)
 
     def start(self) -> None:
-        """Begin an iteration at the next state with the rates at the step's beginning.
+        """Begin an iteration at the next state, with the rates of the step's start.
 
-        A steep rule's rate(M(z)) is far off for values that are not a solution.
+        For values that are not a solution, a steep rule's rate(M(z)) is far off.
         """
         self._begins = self._last is not None
         self._at: _State | None = None
@@ -198,7 +199,7 @@ class LinearisationStress:
         return {f"{STRESS}{i}": function for i, function in enumerate(self.stress.values())}
 
     def frozen(self) -> dict[str, np.ndarray]:
-        """The stresses at which the slopes are evaluated, by name, as coefficients of ``functions``."""
+        """The stresses at which the slopes are evaluated, by name: the coefficients of ``functions``."""
         at = self._frozen
         return {
             name: np.zeros(0) if at is None else at.stress[i].T.ravel()
@@ -233,7 +234,8 @@ class LinearisationStress:
             values_of(function)[:] = stress.T
 
     def _driven(self, z: np.ndarray, zeta: np.ndarray) -> tuple[np.ndarray, list[PointRate]]:
-        """The stresses M(z) at the collocation points; the flow rules as functions of the stress there."""
+        """The stresses M(z) at the collocation points, and the flow rules as functions of the stress at
+        these points."""
         dim = self.rates.dim
         parts = {"z": Array(z, None), "zeta": Array(zeta, None)}
         u = Fields(self.layout, parts, gradient=lambda name: Array(np.zeros((dim, dim, 1)), None))

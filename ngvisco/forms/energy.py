@@ -44,7 +44,7 @@ class StoredEnergy:
         self.material, self.dim = material, dim
 
     def lacked(self, u: UnknownValues) -> None:
-        """Note as ``last_failure`` that an iterate had no energy, with the bounds of its domain."""
+        """Note as ``last_failure`` that an iterate had no energy, with the bounds of the energy's domain."""
         bounds = " and ".join(f"{name} > 0" for name in self.material.domain(u.z_tensors))
         variables = ", ".join(variable.name for variable in self.material.variables)
         domain = f", which it has for {bounds} alone (of {variables})" if bounds else ""
@@ -59,7 +59,8 @@ class StoredEnergy:
         return self.material.states(self.dim).components(self._conjugates(u))
 
     def _conjugates(self, u: UnknownValues) -> Values:
-        """Conjugates phi'(z); other variables' conjugates read lagged variables at the step's start."""
+        """Conjugates phi'(z); the conjugates of variables that do not lag read lagged variables at the
+        step's start."""
         z, lagged = u.z_tensors, self.material.lagged
         if not lagged:
             return conjugates(self.material, z)
@@ -78,8 +79,9 @@ class StoredEnergy:
     ) -> list[CoefficientFunction]:
         """Summands phi''(z) q_j : Y_j, one for each column of a slope q of z and of Y, (components, dim).
 
-        Derivatives in two directions are scalars: a gradient of one direction's derivative has tensors of
-        fourth order, whose pattern NGSolve takes half a minute to find for ``Ogden``.
+        Each summand is a derivative in two directions, and so a scalar. A gradient of the derivative in one
+        direction would have tensors of fourth order, whose pattern takes NGSolve half a minute for
+        ``Ogden``.
         """
         states = self.material.states(self.dim)
         variables = {name: value.MakeVariable() for name, value in u.z_tensors.items()}
@@ -114,11 +116,11 @@ class StoredEnergy:
         """Make phi(z) and phi'(z) available also at ``u``, fields of grid functions."""
 
     def refresh(self, u: UnknownValues | None = None) -> bool:
-        """Update the energy to ``u``, by default the present state; return whether it changed."""
+        """Update the energy to ``u``, by default the present state; return whether the energy changed."""
         return False
 
     def require(self) -> None:
-        """Update the energy; raise StepError if it is not a number."""
+        """Update the energy; raise StepError if the energy is not a number."""
 
 
 class PointwiseEnergy(StoredEnergy):
@@ -198,7 +200,7 @@ class PointwiseEnergy(StoredEnergy):
         return changed
 
     def _refreshed(self, u: UnknownValues) -> bool:
-        """Update the energy on this rank; return whether it changed."""
+        """Update the energy on this rank; return whether the energy changed."""
         mine = self._values[u]
         mine.state.Interpolate(u.z)
         states = values_of(mine.state)

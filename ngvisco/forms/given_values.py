@@ -39,7 +39,7 @@ _VOLUMES = {"J", "A"}
 _INVERTED, _STEPS = 1e-12, 100
 """Accepted defect of the scaled pressure, and largest number of Newton steps, for the volume."""
 _VACUUM = 14.0
-"""Logarithm of the volume at zero pressure of a gas, in place of an infinite one."""
+"""Logarithm of the finite volume that stands for the infinite volume of a gas at zero pressure."""
 
 
 def parameter_values(material: Material, given: Given, owner: str = "Initial") -> StartValues:
@@ -74,7 +74,7 @@ def starting_values(
 
 
 def carried_of(material: Material, values: StartValues) -> StartValues:
-    """Values of a material's variables, with the carried numbers of parameters in place of their values."""
+    """Values of a material's variables, in which parameters have the numbers that are carried."""
     parameters = (v for v in material.variables if isinstance(v, Parameter) and v.name in values)
     return values | {v.name: v.carried(values[v.name]) for v in parameters}
 

@@ -1,7 +1,8 @@
 """Changes of a body's momentum in a step: impulses by name, and the defects of the discretisation.
 
-The equations of a step are tested with rigid motions e, the constants and the rotations about the origin, on
-straight cells functions of the velocity's space.  With m the momentum functional <m, w> = int rho v . w
+The equations of a step are tested with rigid motions e, which are the constants and the rotations about the
+origin. On straight cells these are functions of the velocity's space.  With m the momentum functional <m, w>
+= int rho v . w
 
     <m - m_old, e>/tau = sum of forces + thrust of jumps + rest of cells + rest of inertia,
 
@@ -16,8 +17,8 @@ summands vanish for the exact solution; they are momentum that the scheme create
 
       sum_K int_{dK} (e . n) ((z_hat - z) : zeta + phi(z)),
 
-  less the parts of ``TangentForce`` and of walls that matter crosses: the thrust of a jump, which is left
-  where a trace has no energy;
+  less the parts of ``TangentForce`` and of walls that matter crosses; the thrust of a jump remains where a
+  trace has no energy;
 - **cells**: the rest of B_h(e; z, zeta) without the shares of facets and walls: the quadrature of phi in
   cells and on facets, on curved cells the projection of (e . grad) z, and conjugates of another state
   (``Material.lagged``).
@@ -73,7 +74,8 @@ from ngvisco.parallel.exchange import Interpolation
 from ngvisco.physics.tensors import inner, is_number, sqrt, square
 
 OnSides: TypeAlias = tuple[SidePoints, Iterable[tuple[Fields, slice]]]
-"""The points of all cells' sides, and for ranges of these points arrays of z, its trace and conjugates."""
+"""The points of all cells' sides, and a function that returns z, its trace and its conjugates for a range of
+these points."""
 
 DEFECTS = ("facets", "cells", "inertia")
 """Names of the momentum defects of the scheme, by their place."""
@@ -102,7 +104,7 @@ class Impulses:
         """Function that returns arrays on the cells' sides, or None; with arrays the elastic force takes a
         fraction of the forms' time."""
         self._levers: np.ndarray | None = None
-        """Products of e . n and the weights at the sides' points, (motions, points)."""
+        """Products of e . n with the weights at the sides' points, (motions, points)."""
         test = self._space.TestFunction()
         self._groups = self._by_groups(step.now, self._tests(test, Grad(test)))
         internal = (ELASTIC, ENTERING, SKEW, CHANGE)
@@ -133,7 +135,8 @@ class Impulses:
         return rows_of
 
     def _tests(self, v: CoefficientFunction, gradient: CoefficientFunction | None) -> Tests:
-        """Tests with v, and zero for all other unknowns; None as ``gradient`` is the zero gradient of v."""
+        """Tests with v, and zero for all other unknowns; if ``gradient`` is None, the gradient of v is
+        zero."""
         layout, dim = self.step.layout, self.step.mesh.dim
         zeros = self._zeros
 
@@ -326,7 +329,7 @@ def _where_it_is(phi: CoefficientFunction) -> CoefficientFunction:
 
 _ROUNDING = 1e-12
 _THRUST, _PRESSED = "thrust of jumps", "pressed walls"
-"""Groups of rows of v without a column."""
+"""Groups of rows of v that have no column."""
 
 
 @dataclass

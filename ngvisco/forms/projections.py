@@ -55,7 +55,8 @@ class LocalProjection:
 
 
 class FacetProjection:
-    """Mean over every facet of both sides' values, weighted by their shares, to ``target``, of order 0."""
+    """Mean over every facet of both sides' values, weighted by their shares; it is put into ``target``, a
+    function of order 0."""
 
     def __init__(
         self,

@@ -74,9 +74,9 @@ class Rates:
     def creep_is_collocated(self) -> bool:
         """Whether creep is integrated by the nodal rule, one point per field coefficient in a cell.
 
-        This holds if a local rule is nonlinear, or relaxes F or its cofactor, whose rotation a field can
-        follow at no more points.  It does not hold for rates that are not affine in the variables, whose
-        stress constant tensors do not give.
+        The nodal rule is used if a local rule is nonlinear, or relaxes F or its cofactor: a field can follow
+        their rotation at no more points than it has coefficients. It is not used for rates that are not
+        affine in the variables, because constant tensors do not give the stress of such rates.
         """
         turns = {variable.name for variable in self.material.variables if variable.kind == "full"}
         asked = any(f.rule.degree != 1 or turns.intersection(f.names) for f in self.mechanisms)
@@ -90,7 +90,8 @@ class Rates:
     def creep_power(
         self, z: UnknownValues, Pi: Sequence[CoefficientFunction], G: UnknownValues, name: Conjugate
     ) -> Sequence[CoefficientFunction]:
-        """Summands of rate(z; 0, Pi) : G, one Pi, 3x3, per mechanism; at L = 0 a rate has no affine part."""
+        """Summands of rate(z; 0, Pi) : G with one Pi, 3x3, for each mechanism; at L = 0 a rate has no affine
+        part."""
         tensors = _tensors(G, name)
         return [
             inner(self.material.rate(variable, z.z_tensors, 0 * rate, rate), tensors[variable.name])
@@ -168,8 +169,8 @@ class Rates:
     def _normals(self, interface: Interface, u: UnknownValues) -> CoefficientFunction:
         """Projection n x n, 3x3, on the slope n of the interface's quantity at the step's start.
 
-        The projection tends to zero where the mean changes by less than ``NO_INTERFACE`` in a cell: there the
-        slope is rounding, of any direction.
+        The projection tends to zero where the mean changes by less than ``NO_INTERFACE`` in a cell, because
+        the slope is then a rounding error of any direction.
         """
         if interface in u.context.recovered_slopes:
             slope = u.context.given(u.context.recovered_slopes[interface])
@@ -212,7 +213,8 @@ class Rates:
         return u.context.energy.on_sides(u)
 
     def stored_near(self, u: UnknownValues) -> CoefficientFunction:
-        """Energy phi(z), Pa, in cells, with its derivative by z also for stored values of one state."""
+        """Energy phi(z), Pa, in cells; it has its derivative by z even if the stored values belong to one
+        state."""
         return u.context.energy.near(u)
 
     def dissipation(self, u: UnknownValues) -> dict[str, CoefficientFunction]:

@@ -6,14 +6,14 @@ contains the walls' terms too.  The force of wall Gamma on the body in direction
     F_Gamma . e = R(u; w_Gamma) - (terms of Gamma)(u; e) + int (phi - z_f : zeta_f) (w_Gamma . n),
 
 with w_Gamma = e at the coefficients that Gamma constrains; for the torque e is the rotation e x (x - c).
-The last integral, z_f the variables transported by their flux, is there because the scheme's elastic force is
-B_h(w; z, zeta) = int T : grad w - int (phi - z_f : zeta_f) (w . n), which is int T : grad w if w.n = 0 on
+z_f are the variables transported by their flux. The last integral appears because the scheme's elastic force
+is B_h(w; z, zeta) = int T : grad w - int (phi - z_f : zeta_f) (w . n), which is int T : grad w if w.n = 0 on
 walls.  This is the consistent reaction of the elastic, viscous and hyperviscous stress; it converges faster
 than an integral of T n.  If the trace on a wall has no energy (det B <= 0 beside a barrier), phi is the
 projection of the energy in the cell.
 
-If several walls constrain a component of v at a corner, they share its row by their n_i^2, so that each keeps
-its pressure, and equally if all n_i are zero.
+If several walls constrain a component of v at a corner, they share the row of this component in proportion
+to their n_i^2, so that each wall keeps its pressure; if all n_i are zero, their shares are equal.
 """
 
 from __future__ import annotations
@@ -140,7 +140,8 @@ class WallReactions:
     def beside_the_rows(self, name: str, motion: str, u: Fields) -> tuple[Integrand, Callable[[], None]]:
         """Summands at ``u`` of a component of force or torque on a wall besides the residual's rows.
 
-        Their derivative by u is exact at the present state after a call of the function returned with them.
+        The derivative of the summands by u is exact at the present state after a call of the returned
+        function.
         """
         step, energy = self.step, self.step.energy
         w = GridFunction(step.layout.blocks["v"])

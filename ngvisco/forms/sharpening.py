@@ -1,30 +1,33 @@
 """Conservative sharpening of interfaces between bodies at the end of a step, which keeps their width.
 
-Transport smears a jump of the amounts n_i over ever more cells.  After each step (``Discretisation.sharp``)
-bodies i and j are separated, in cells that contain no other body, in two moves.  Cells of more bodies have
-no planes: their negative means are filled up too, and one factor of all slopes brings fractions into [0, 1].
+Transport smears a jump of the amounts n_i over more and more cells. After each step
+(``Discretisation.sharp``) two moves separate bodies i and j in cells that contain no other body. Cells with
+more bodies have no planes; in these cells, too, negative means are filled up, and one factor for all slopes
+brings fractions into [0, 1].
 
-1. *Between cells.*  The step has carried the amounts F_i, F_j out of a cell through a facet.  Of the strip
-   that was swept through the facet, the share s lay behind the plane that bounds body i in this cell at the
-   start of the step.  The facet's cells exchange the defect of the flux,
+1. *Between cells.*  The step has carried the amounts F_i, F_j out of a cell through a facet.  At the start
+   of the step a plane bounds body i in this cell; the share s of the strip that was swept through the facet
+   lay behind this plane, in body i. The two cells of the facet exchange the defect of the flux,
 
        s (F_i + F_j) - F_i    of body i, and as much of body j in the other direction,
 
-   scaled so that no cell gives more of a body than it has (Zalesak, J. Comput. Phys. 31, 1979).  Amounts that
-   the limiter holds back are exchanged in a second pass.  Each body takes its tensors with it, in the ratio
-   X/n of its cell. Transport may leave cells with negative means. Neighbours give such a cell the missing
-   amount, and take the cell's ratio X/n in exchange.
-2. *In a cell* n_i becomes the mean plus the slope of the projected indicator of body i's part, scaled until
-   theta_i is in [0, 1]; n_j is the rest of n_i + n_j, and X becomes n (X/n) with the quotient of the means.
+   scaled so that no cell gives more of a body than it has (Zalesak, J. Comput. Phys. 31, 1979).  A second
+   pass exchanges the amounts that this scaling has held back. An amount takes tensors with it, in the ratio
+   X/n of its cell. Transport may leave cells with negative means: neighbours give such a cell the missing
+   amount of the body, and take the cell's X/n in exchange.
+2. *In a cell* n_i becomes its mean plus the slope of the projected indicator of body i's part, scaled so
+   that theta_i is in [0, 1]; n_j becomes the rest of n_i + n_j, and X becomes n times the quotient X/n of
+   the means.
 
-A plane bounds body i in a cell: its normal is the slope of theta_i averaged at the vertices, and it cuts off
-the cell's mean of theta_i.  The strip is a prism between the facet and its place before the step.
+The normal of the plane that bounds body i in a cell is the slope of theta_i averaged at the vertices; the
+plane cuts off the mean of theta_i from the cell.  The strip is a prism between the facet and its place
+before the step.
 
-The moves keep N at every point, int n_i and int X_i: masses, sum theta = 1, rho and momentum too, since
-bodies have one density.  A common volumetric energy depends on N alone, and n f(X/n) = C : (X - n I), f
-linear in X, on the integrals alone: the stored energy is kept to rounding, and the step's identity holds.
-A nonlinear f of degree one in (n, X) would lose energy; the f of bodies have this degree up to traces of
-matter only, and are refused unless they are linear.
+The moves keep N at every point, and int n_i and int X_i. So they keep masses and sum theta = 1, and, since
+bodies have one density, rho and momentum. A common volumetric energy depends on N alone. If f is linear in
+X, n f(X/n) = C : (X - n I), and its integral depends on the integrals of n and X alone: the stored energy is
+kept to rounding, and the step's identity holds. With a nonlinear f of degree one in (n, X) energy would be
+lost; moreover the f of bodies have this degree only up to traces of matter. So nonlinear f are refused.
 """
 
 from __future__ import annotations
@@ -68,14 +71,15 @@ _PASSES = 2
 _PLANES = 2
 """Number of planes that are placed in a cell, each with a better normal."""
 _HALVINGS = 45
-"""Number of halvings of the interval of a plane's place, which determine the place to rounding."""
+"""Number of bisections that determine the place of a plane to rounding."""
 _APART = 1e-6
-"""Distance, over their range, to which equal values at a simplex' vertices are parted."""
+"""Spacing to which equal values at the vertices of a simplex are spread, over the range of the values."""
 _ROUNDING = 1e-12
-"""Share of a cell's amounts below which an amount is a rounding error, whose sign decides nothing."""
+"""Share of a cell's amounts below which an amount is a rounding error, whose sign must have no effect."""
 FAR = 0.7
-"""Heights of a cell that a step may sweep at an interface.  A disc that turns once is 0.051, 0.071, 0.166 and
-0.221 of its area off where the largest strip is 0.47, 0.59, 0.78 and 0.94 of its cell's height."""
+"""Largest strip that a step may sweep at an interface, in heights of its cell. After one turn the error of a
+disc over its area is 0.051, 0.071, 0.166 and 0.221 if the largest strip has 0.47, 0.59, 0.78 and 0.94 of its
+cell's height."""
 _FIELD = "Discretisation.sharp"
 
 
@@ -209,8 +213,8 @@ class Sharpening:
         return averages
 
     def _behind(self, u: np.ndarray, i: int) -> np.ndarray:
-        """Values at corners of linear functions > 0 in body i's part of a cell, which is behind a plane,
-        (cells, corners); 0 in cells without an interface.
+        """Values at corners, (cells, corners), of linear functions that are > 0 in body i's part of a cell,
+        behind a plane; 0 in cells without an interface.
 
         The first normals are slopes of averaged fractions, the second ones of averaged distances from the
         first planes.
@@ -234,7 +238,7 @@ class Sharpening:
         return np.clip(means[i] / means.sum(axis=0), 0, 1)
 
     def _defects(self, i: int, j: int, tau: float) -> np.ndarray:
-        """Amount of body i that the step's outflow lacks by the planes at its start, (cells, facets).
+        """Defect of the step's outflow of body i, (cells, facets), by the planes at the step's start.
 
         Facets are numbered by their opposite corners.
         """
@@ -265,8 +269,9 @@ class Sharpening:
             left = left - self._exchanged(u, (i, giving), (j, taking), left)
 
     def _fill(self, u: np.ndarray) -> None:
-        """Fill cells that have less than nothing of a body, in place, from neighbours in proportion to what
-        these have of it, in exchange for the other bodies in proportion to what the cells have of these."""
+        """Fill cells with a negative amount of a body, in place. Neighbours give this body in proportion to
+        their amounts of it; the cell gives the other bodies in exchange, in proportion to its amounts of
+        them."""
         cell, _, neighbour, _ = self._facets.T
         giving, taking = np.concatenate([cell, neighbour]), np.concatenate([neighbour, cell])
         for i in range(len(self._amounts)):
@@ -281,10 +286,10 @@ class Sharpening:
     def _exchanged(
         self, u: np.ndarray, one: tuple[int, np.ndarray], two: tuple[int, np.ndarray], wanted: np.ndarray
     ) -> np.ndarray:
-        """Exchange ``wanted`` amounts of a body, given by the cells of ``one``, for as much of another body
-        from the cells of ``two``, in place, as far as cells have it; return the exchanged amounts.
-
-        Matter that fills up a cell with a negative amount of a body takes X/n of that cell away.
+        """Exchange ``wanted`` amounts of a body, given by the cells of ``one``, for equal amounts of another
+        body from the cells of ``two``, in place and as far as the cells have these amounts; return the
+        exchanged amounts. If matter fills up a negative amount of a cell, the cell's own X/n goes in
+        exchange.
         """
         start, amount, count = self._means(u) * self._mass, wanted, len(self._mass)
         least = _ROUNDING * start[self._amounts].sum(axis=0)
@@ -328,8 +333,9 @@ class Sharpening:
         self._deviate(u, cells, amounts - (means / means.sum(axis=0))[:, :, None] * amounts.sum(axis=0))
 
     def _deviate(self, u: np.ndarray, cells: np.ndarray, deviation: np.ndarray) -> None:
-        """Set amounts in ``cells`` to an even mixture of their means and ``deviation``, (bodies, cells,
-        corners), with one factor that brings fractions into [0, 1], in place; tensors go with amounts.
+        """Set amounts in ``cells`` to an even mixture with their means plus ``deviation``, (bodies, cells,
+        corners), in place; one factor of the deviations brings fractions into [0, 1], and tensors follow the
+        amounts.
 
         Deviations have the mean 0 in each cell and the sum 0 at each corner, so that means and N stay.
         """
@@ -347,9 +353,9 @@ class Sharpening:
     # --- arrays of cells, vertices and facets -----------------------------------------------------------
 
     def _of_cells(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Arrays of each cell: numbers of its functions, (cells, functions), the matrix from coefficients to
-        corner values, (cells, corners, functions), its inverse, and the integrals, by the rule of the forms,
-        of linear functions that are 1 at one corner, (cells, corners)."""
+        """Arrays of each cell: numbers of the cell's functions, (cells, functions); the matrix from
+        coefficients to values at corners, (cells, corners, functions), and its inverse; and integrals, by
+        the rule of the forms, of linear functions that are 1 at one corner, (cells, corners)."""
         space = self.step.layout.scalar_space("z")
         dofs = _numbers(space)
         function, values = GridFunction(space), np.empty((*self._x.shape[:2], dofs.shape[1]))
@@ -376,9 +382,10 @@ class Sharpening:
         return form
 
     def _of_vertices_and_facets(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Numbers of the cells' vertices, (cells, corners); facets between two cells: rows of one cell, its
-        corner opposite, the other cell and its corner; and the number in its cell of the facet opposite to
-        each corner, (cells, corners).  Identified vertices and facets count once."""
+        """Numbers of the cells' vertices, (cells, corners); facets between two cells, as rows of a cell, its
+        corner opposite to the facet, the other cell and its opposite corner; and for each corner the number,
+        within the cell, of the facet opposite to it, (cells, corners).  Identified vertices and facets count
+        once."""
         periodic = bool(self.step.walls.periodic)
         nodes, facets = H1(self.mesh, order=1), FacetFESpace(self.mesh, order=0)
         vertices, sides = (_numbers(Periodic(s) if periodic else s) for s in (nodes, facets))
@@ -400,8 +407,8 @@ class Sharpening:
 
 
 def _level(heights: np.ndarray, theta: np.ndarray) -> np.ndarray:
-    """Value above which linear functions with the values ``heights``, (cells, corners), are in the share
-    ``theta`` of their cells, (cells,)."""
+    """Level of linear functions with the values ``heights``, (cells, corners), that they exceed in the share
+    ``theta``, (cells,), of their cells."""
     low, high = heights.min(axis=1), heights.max(axis=1)
     level = np.where(theta < 0.5, high, low)
     cut = np.minimum(theta, 1 - theta) > NO_INTERFACE
@@ -417,8 +424,8 @@ def _level(heights: np.ndarray, theta: np.ndarray) -> np.ndarray:
 def _share(values: np.ndarray) -> np.ndarray:
     """Share of simplices in which linear functions with ``values`` at the vertices are > 0, (..., vertices).
 
-    With d + 1 vertices it is sum over the v_i > 0 of v_i^d / prod_{j != i} (v_i - v_j).  A vertex that is
-    given twice weighs the simplex by (d + 1) lambda of this vertex.
+    With d + 1 vertices the share is the sum over the v_i > 0 of v_i^d / prod_{j != i} (v_i - v_j).  If a
+    vertex is given twice, the share is weighted with (d + 1) lambda of this vertex.
     """
     count = values.shape[-1]
     values = np.sort(values, axis=-1)

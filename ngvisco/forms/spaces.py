@@ -86,14 +86,15 @@ class Discretisation:
 
 
 class Introducing(Protocol):
-    """A term as the layout of the unknowns sees it."""
+    """The part of a term that the layout of the unknowns needs."""
 
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]: ...
 
 
 @dataclass(frozen=True)
 class Proxies:
-    """Trial or test functions by the unknowns' names, those of z and zeta also by the variables' names."""
+    """Trial or test functions by the unknowns' names; the parts of z and zeta also by the variables'
+    names."""
 
     whole: dict[str, Any]
     of_variables: dict[str, dict[str, Any]]

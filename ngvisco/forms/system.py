@@ -402,7 +402,7 @@ class Step:
     def start_from(self, parts: Sequence[tuple[float, Evolved]]) -> None:
         """Start the step from a weighted sum of states, linear in (rho, m, z) and further evolving unknowns.
 
-        The velocity of ``old`` becomes the sum of the velocities, which no term reads.
+        The velocity of ``old`` becomes the weighted sum of the velocities; no term reads this velocity.
         """
         old, ranges = self.state_old.vec.FV().NumPy(), self.layout.ranges
         for name in self.layout.evolving:

@@ -54,8 +54,8 @@ class Entry:
     is_outside: bool = False
     """Whether the dissipation takes place beyond a wall, as in a dashpot, and does not heat the material."""
     has_sign: bool = True
-    """Whether a dissipation's integrand is nowhere negative, which is checked in every step; False if the
-    sign holds up to the projection of conjugates only."""
+    """Whether a dissipation's integrand is nowhere negative; every step checks this. False if the sign holds
+    only up to the projection of conjugates."""
 
 
 @runtime_checkable
@@ -63,9 +63,9 @@ class Term(Protocol):
     """One term of the system.
 
     ``form(u, w)`` is the term's contribution to R(u; w) = 0, in summands that are assembled one by one:
-    NGSolve evaluates a whole integrand for each pair of components in it, so small summands are many times
-    cheaper to linearise than their sum.  ``entries(u)`` are the term's columns of the ledger, such that
-    form(u; v, zeta) is the sum of the entries' powers.
+    NGSolve evaluates a whole integrand for each pair of its components, so that linearising small summands
+    is many times cheaper than linearising their sum.  ``entries(u)`` are the term's columns of the ledger,
+    such that form(u; v, zeta) is the sum of the entries' powers.
     """
 
     def form(self, u: Fields, w: Fields) -> list[Integrand]: ...
@@ -112,7 +112,8 @@ class PointTerm:
         Reason why only the coupled solver takes the term; None if both solvers take it.
     group : str or None
         Group of the momentum balance in which the term's rows of v count; ``""`` for a term that
-        does no work on rigid motions; None if they are an impulse of its own.  It is reset as ``kernel`` is.
+        does no work on rigid motions; None if they are an impulse of its own.  Like ``kernel``, it is None
+        for a derived class with other integrands.
     wall : str or None
         Name of the wall on which alone the term acts.
     facet_mean : str or None

@@ -1,10 +1,10 @@
 """Means over time of loads, tractions and walls' velocities (paper: g^k_{delta tau}, Euler-small-ass-g).
 
 ``rule`` finds times and weights that integrate a function over an interval to ``TOLERANCE`` of its largest
-value.  Bisection of the conditions of the function's choices finds breaks, and Gauss panels between breaks
-are halved until halves and whole agree.  The search evaluates the function at some points of space; it finds
-a feature without a known break (``ngvisco.physics.signals``) if this lasts for a thirtieth of the interval.
-All ranks find the same rule.
+value.  A function may contain conditions; bisection finds the times at which they change, its breaks. Gauss
+panels between breaks are halved until the halves and the whole agree.  The search evaluates the function at
+some points of space; it finds a change without a known break (``ngvisco.physics.signals``) if the change
+lasts for a thirtieth of the interval. All ranks find the same rule.
 """
 
 from __future__ import annotations

@@ -61,8 +61,8 @@ def side(u: Fields) -> CoefficientFunction:
 class Largest:
     """Largest values of facet means among the iterates of a step, by the means' names.
 
-    A term that a mean switches off at a facet stays off: an equation that switched on and off at its solution
-    would have none.
+    A term that a mean switches off at a facet stays off, because an equation that switched the term on and
+    off near its solution would have no solution.
     """
 
     def __init__(self) -> None:

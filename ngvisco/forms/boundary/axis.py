@@ -21,8 +21,8 @@ def require_symmetry(symmetry: Symmetry, walls: Walls, model: Model, terms: Iter
     """Raise ParameterError for data that a body of revolution cannot have; MeshError if the axis and another
     wall have one name.
 
-    Refused are a term without an axisymmetric form, an axis that is not ``Slip``, gravity across the axis,
-    and a mesh that is periodic in r.
+    The function refuses a term without an axisymmetric form, an axis that is not ``Slip``, gravity across
+    the axis, and a mesh that is periodic in r.
     """
     if symmetry.largest_radius is None:
         return

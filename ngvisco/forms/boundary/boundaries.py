@@ -1,4 +1,4 @@
-"""The boundaries of a mesh: their names, directions and identifications; refused walls.
+"""The boundaries of a mesh: their names, directions and identifications, and walls that are refused.
 
 Straight facets on a curved wall are refused.  A continuous velocity with v.n = 0 on every side of a polygon
 vanishes at all corners, and in the limit on the whole wall that the polygon approaches (Babuska): slip turns
@@ -182,7 +182,8 @@ def bend(mesh: Mesh, wall: Region) -> float:
 
 
 _Facet: TypeAlias = tuple[np.ndarray, dict[bytes, np.ndarray]]
-"""Outward unit normals: of a facet's chord, and at the facet's vertices by their coordinates."""
+"""Outward unit normals: the normal of a facet's chord, and the normals at the facet's vertices by their
+coordinates."""
 
 
 def _kinks(mesh: Mesh, wall: Region) -> tuple[list[float], list[float]]:

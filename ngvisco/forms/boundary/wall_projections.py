@@ -42,7 +42,8 @@ from ngvisco.physics.tensors import inner
 
 _REDUCTION, _CORRECTIONS, _ITERATIONS = 1e-9, 4, 1000
 _ROUNDING, _ENOUGH = 3e-16, 1e-13
-"""Target of the residual relative to <m, .>, and the largest accepted one; it enters the energy's closure."""
+"""Target of the residual relative to <m, .>, and the largest accepted residual, which enters the energy's
+closure."""
 
 
 class WallProjection:
@@ -104,7 +105,7 @@ class WallProjection:
         self._solver.factorise(sp.bmat(blocks, format="csr"))
 
     def _taken(self, g: np.ndarray) -> np.ndarray:
-        """D^(1/2) y, for the y of least y . D y with C y = g."""
+        """D^(1/2) y for the y of least y . D y with C y = g."""
         count = len(self._shared)
         solution = self._solver(np.concatenate([np.zeros(count), g / self._length]))
         result: np.ndarray = self._transposed @ solution[count:]
@@ -125,7 +126,7 @@ class WallProjection:
         return result
 
     def completed(self, v: np.ndarray) -> np.ndarray:
-        """The free coefficients, nearest to those of v, with which v fulfils the walls' condition."""
+        """The free coefficients nearest to those of v with which v satisfies the walls' condition."""
         rows = self._normal_velocity(v)
         if self._of:  # subtract the pistons' v.n at the present time
             rows -= self._given.Assemble().vec.FV().NumPy()
@@ -186,7 +187,8 @@ class VelocityOfMomentum:
     def __call__(self, keeps_walls: bool = False) -> np.ndarray:
         """Solve; return the rows int rho v . w - <m, w>, nonzero at walls only, (unknowns of v,).
 
-        On walls with multipliers v.n is prescribed at the present time, or the state's (``keeps_walls``).
+        On walls with multipliers v.n is the value prescribed at the present time, or that of the state
+        (``keeps_walls``).
 
         The rows are summed over this rank's cells only.  Raises StepError if the linear system is not solved
         to rounding.

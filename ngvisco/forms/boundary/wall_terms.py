@@ -61,8 +61,8 @@ class Impenetrability(PointTerm):
     """Multiplier form of v.n = 0 on oblique and curved walls: int_Gamma lambda (w.n) + mu (v.n) = 0.
 
     lambda is the normal stress of the wall, Pa.  Its power int lambda (v.n) vanishes exactly by the row
-    mu = lambda, so that the ledger has no entry of it.  Nothing is carried through the wall, whatever the
-    pointwise residue of v.n (``Upwinding``).
+    mu = lambda, so that the ledger has no entry of it.  Although v.n is not zero at every point of the wall,
+    nothing is carried through it (``Upwinding``).
     """
 
     couples = "flow"
@@ -197,8 +197,8 @@ class Carried(OnWall):
     def entering(self, u: Fields, name: str) -> CoefficientFunction:
         """Inflowing value of ``"rho"`` or ``"z"`` on a cell's side.
 
-        A quantity that is not given enters with the cell's value without its slope, which would make the
-        value grow from step to step.
+        A quantity that is not given enters with the cell's value without its slope; with the slope the value
+        would grow from step to step.
         """
         inner_value = self._middle(u, name)
         if self.continues(name):
@@ -232,7 +232,7 @@ class Carried(OnWall):
     def deviators(self, u: Fields) -> tuple[CoefficientFunction, CoefficientFunction, CoefficientFunction]:
         """Inflow speed, m/s, and deviators of the elastic stress, Pa, inside and in the inflow; 0 elsewhere.
 
-        Bodies whose energy has no expression come in without a deviator, unstrained.
+        Bodies whose energy has no expression enter unstrained, without a deviator.
         """
         material, on_wall, zero = self.material, u.context.given(self.indicator), CF((0.0,) * 9, dims=(3, 3))
         inside, outside = cauchy_stress(material, u.z_tensors, u.zeta_tensors, CF(0.0)), zero

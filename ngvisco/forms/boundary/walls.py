@@ -141,10 +141,10 @@ class Walls:
         """Space of the multiplier of v.n = 0 for velocities in P_k: P_{k-2}, and in 2D P_2 for k = 3.
 
         ``mesh`` is the step's mesh or the undistributed one.  The traces v.n allow at most P_{k-1}.  In 3D
-        P_{k-1} has more unknowns than there are normal traces.  In 2D, on a closed curve, it has as many; but
-        for even k the trace with one Legendre polynomial of degree k on every edge is orthogonal to it.  A
-        chain of n edges with prescribed v at its ends has n k - 1 traces, so that the first and the last edge
-        have one unknown less.
+        P_{k-1} has more unknowns than there are normal traces.  In 2D, on a closed curve, P_{k-1} has as
+        many unknowns as there are traces; but for even k the trace with one Legendre polynomial of degree k
+        on every edge is orthogonal to P_{k-1}.  A chain of n edges with prescribed v at its ends has n k - 1
+        traces, so that the first and the last edge have one unknown less.
         """
         fine = mesh.dim == 2 and k == 3
         order = k - 1 if fine else k - 2
@@ -280,7 +280,8 @@ class MovingWalls:
         return self._values.vec.FV().NumPy()
 
     def _project(self, name: str, velocity: CoefficientFunction) -> None:
-        """Project in L2 on the wall: ``Set`` is wrong in a facet one of whose vertices is another's image."""
+        """Project in L2 on the wall; NGSolve's ``Set`` is wrong in a facet that contains a vertex and its
+        periodic image."""
         space, region = self._values.space, self.walls.region([name])
         trial, test = space.TnT()
         if name not in self._inverses:

@@ -13,8 +13,8 @@ from ngvisco.parallel.mesh import MeshPart
 from ngvisco.shapes.places import mesh_points
 
 _PULLS = (1e-9, 1e-6, 1e-4, 1e-3)
-"""Shares of the way to a near cell's centre by which a point on a wall is moved, if rounding or a
-curved wall's polynomials leave it just outside of all cells."""
+"""Shares of the way to the centre of a near cell. A point on a wall is moved by these shares if rounding, or
+the polynomials of a curved wall, leave the point just outside of all cells."""
 
 
 def as_points(field: str, value: object, dim: int) -> np.ndarray:

@@ -117,9 +117,8 @@ def facet_sums(mesh: Mesh, value: CoefficientFunction) -> np.ndarray:
 
 
 def facets_of_walls(mesh: Mesh) -> np.ndarray:
-    """Facet of every boundary element, (elements,), as an index into arrays of facets.
-
-    The index differs from the number of the edge or face: a refined mesh also counts divided ones.
+    """Facet of every boundary element, (elements,), as an index into arrays of facets. The index is not the
+    number of the edge or face, because a refined mesh also counts divided edges and faces.
     """
     space = FacetFESpace(mesh, order=0)
     return np.array([space.GetDofNrs(element)[0] for element in mesh.Elements(BND)], dtype=int)
@@ -155,9 +154,10 @@ _WORDS = {ET.PYRAMID: "pyramids", ET.PRISM: "prisms", ET.HEX: "hexahedra"}
 def check_mesh(mesh: Mesh) -> None:
     """Raise MeshError unless the mesh is 2D or 3D, has cells, all of known types, and none is inverted.
 
-    Two conditions check the orientation.  The determinant of the map from the reference cell keeps its sign
-    and is nowhere zero in a cell; the sign itself depends on the order of the vertices only.  The two cells
-    of an inner facet lie on different sides of it, so that their outward normals cancel.
+    The orientation of cells is checked by two conditions.  The determinant of the map from the reference
+    cell keeps its sign and is nowhere zero in a cell; the sign itself depends on the order of the vertices
+    only.  The two cells of an inner facet lie on different sides of it, so that their outward normals
+    cancel.
     """
     if mesh.dim not in (2, 3):
         raise MeshError(f"the mesh has dimension {mesh.dim}: expected 2 (plane strain) or 3")

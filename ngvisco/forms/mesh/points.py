@@ -38,7 +38,8 @@ from ngvisco.errors import MeshError
 from ngvisco.forms.mesh.symmetry import Symmetry
 
 NEGLIGIBLE = 1e-14
-"""Relative size below which entries are rounding, since a side reads the unknowns of its facet only."""
+"""Relative size below which entries are rounding errors; without these a side reads the unknowns of its
+facet only."""
 
 
 def csr(matrix: BaseMatrix) -> sp.csr_matrix:
@@ -107,8 +108,8 @@ class CellPoints:
 class SidePoints:
     """The points of the rule of degree ``degree`` on every side of every simplex of a mesh.
 
-    NGSolve has no space of values at these points.  A matrix is composed of one assembly for each point of
-    the rule, with a rule of this point only and one constant test on each side.
+    NGSolve has no space of values at these points.  A matrix is therefore composed of one assembly for each
+    point of the rule, with a rule of this point alone and a constant test on each side.
     """
 
     def __init__(self, mesh: Mesh, degree: int, symmetry: Symmetry) -> None:

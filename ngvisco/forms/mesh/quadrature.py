@@ -89,8 +89,8 @@ class Quadrature:
 
     @property
     def collocation_order(self) -> int:
-        """Half of the degree of ``collocated``, raised in a body of revolution: the points of degree 2 are
-        middles of sides, which have no weight on the axis."""
+        """Half of the degree of ``collocated``. In a body of revolution the degree is higher, since the
+        points of degree 2 are the middles of sides, which have no weight on the axis."""
         return 2 if self.symmetry.is_axisymmetric and self.field_order == 1 else self.field_order
 
     @cached_property

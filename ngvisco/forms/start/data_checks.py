@@ -65,7 +65,7 @@ _MATCH = 1e-8
 _DEGREE = 6  # of the rule whose points on walls are checked
 _STIFFER = 10.0
 """Ratio of bulk moduli above which a run warns.  Steps have to be divided at a ratio of 20
-(``demos/collision``). From a ratio of 5 on, overshoots of a quarter may make the compliance negative."""
+(``demos/collision``). At ratios above 5 an overshoot of a quarter may make the compliance negative."""
 
 _SIGNS = {
     "velocity": "",
@@ -189,7 +189,8 @@ def _at(times: Iterable[float]) -> Iterator[float]:
 
 
 def warn_of_own_energy(step: Step, states: np.ndarray | None) -> None:
-    """Warn if a user-defined energy is not convex; tell how far from the states, (points, .), it is not.
+    """Warn if a user-defined energy is not convex, and state how far from the states, (points, .), it loses
+    convexity.
 
     In a network each user-defined branch is checked by itself, and then their sum.
     """

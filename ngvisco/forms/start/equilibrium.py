@@ -8,10 +8,10 @@ level, no pressure bears all loads, and a warning states the unborne share.  The
 in p.  J is the projected inverse of the bulk law, by Newton's method; each body has its J at the common p.
 
 For k = 1 and m = 0 the cell means of p bear the loads that p bears, as div w is constant in cells.  m = 0
-with another k is refused: of the loads on velocities of order two the best constants leave 20, 10 and 5 % on
-2 x 4, 4 x 8 and 8 x 16 cells (in the dual of H1), and the body moves.  Measured on 1 m of 2 kg/m^3, K_e =
-50 Pa, 1 m/s^2: 0.042 m/s with 2 x 4 cells and 0.011 m/s with 4 x 8, 0.050 m/s without an equilibrium, and 0
-with m = 1.
+with another k is refused: the best constants leave 20, 10 and 5 % of the loads on velocities of order two
+unborne on 2 x 4, 4 x 8 and 8 x 16 cells (in the dual of H1), so that the body moves. In a body 1 m high of 2
+kg/m^3 with K_e = 50 Pa under 1 m/s^2, velocities were 0.042 m/s with 2 x 4 cells and 0.011 m/s with 4 x 8,
+0.050 m/s without an equilibrium, and 0 with m = 1.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ _CONVERGED = 1e-12
 _DIFFERENCE = 1e-5
 """Relative change of J in the difference quotient of the bulk law."""
 _UNBORNE = 0.05
-"""Share of the loads without a bearing pressure above which a warning is given."""
+"""Share of the loads that no pressure bears, above which a warning is given."""
 
 
 class Column:

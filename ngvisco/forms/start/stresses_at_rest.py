@@ -21,8 +21,8 @@ from ngvisco.words import Mention, Words
 _ROUNDING = 1e-9
 """Share of the stiffness below which a stress is rounding."""
 _MATTERS = 0.01
-"""Share of a wall's stress at rest that may be unbalanced; and the wall's share of the largest stress at rest
-up to which there is no warning."""
+"""Share of a wall's stress at rest that may be unbalanced; and ratio of the wall's to the largest stress at
+rest below which no warning is given."""
 _REMEDY = (
     "Take energies without stress at rest (ReferentialNeoHookean, OldroydB, ...), subtract the constant T(I) "
     "from an energy of your own, "

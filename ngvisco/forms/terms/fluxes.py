@@ -4,11 +4,11 @@ With the potential mu, the flux j = M grad mu and a test chi, the term is by an 
 
     int j . grad chi - sum_K int_{dK} (f - f_hat) chi,      f = j . n - p (mu - mu_hat), p = s M/h,
 
-mu_hat and f_hat the means of both sides.  f - f_hat is half of the difference of both sides' f: the mean flux
-less p times half of the jump.  The difference is opposite on both sides, so that chi = 1 gives zero and the
-amount is conserved to rounding.  On walls f_hat = f: nothing flows there.  The penalty is incomplete: it
-omits the term that would make it symmetric in mu and chi.  The flux is consistent for m >= 1.  m = 0 is
-refused, since the flux by the penalty alone depends on the cells' shapes, however fine the mesh.
+mu_hat and f_hat the means of both sides.  f - f_hat is half of the difference of both sides' f, that is the
+mean flux less p times half of the jump. It has opposite signs on both sides, so that chi = 1 gives zero and
+the amount is conserved to rounding.  On walls f_hat = f, so that nothing flows through them.  The penalty is
+incomplete: it omits the term that would make it symmetric in mu and chi.  The flux is consistent for m >= 1.
+m = 0 is refused, since the flux by the penalty alone depends on the cells' shapes, however fine the mesh.
 """
 
 from abc import abstractmethod

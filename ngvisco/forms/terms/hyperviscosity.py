@@ -7,9 +7,9 @@ Hs in P_{k-2}, symmetric in its last two indices, is the projection of its distr
 
     int_K Hs : G = -int_K grad v : div G + int_{dK} g : (G n)          for all G,
 
-which on straight cells is int_K hess v : G + int_{dK} (a - d_n v) . (G : n x n): no second derivative
-of a shape function is ever evaluated (assembling second derivatives took nine tenths of the time in 3D).
-With j = a - d_n v the potential, convex because Hs is linear in (v, a), is
+which on straight cells is int_K hess v : G + int_{dK} (a - d_n v) . (G : n x n): no second derivative of a
+shape function is evaluated (assembling second derivatives took nine tenths of the time in 3D). With j = a -
+d_n v the potential, convex because Hs is linear in (v, a), is
 
     Psi = int psi(|Hs|) + sum_K int_{dK} sigma/(2h) c(|Hs|^2 + |j|^2/h^2 + chi^2) |j|^2,   psi' = c Hs,
 

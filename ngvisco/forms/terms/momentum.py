@@ -39,7 +39,7 @@ class Continuity(PointTerm):
     crosses: q = 1 conserves mass to rounding (paper: Euler-small-est-1+).
 
     A cut-off replaces rho in the fluxes by f(rho) = K(rho) rho, which falls where rho > rho_max: an upwind
-    flux would go on filling full cells.  The flux is then Engquist's and Osher's (Math. Comp. 36, 1981),
+    flux would go on filling full cells.  The flux is then that of Engquist and Osher (Math. Comp. 36, 1981),
     the rising part f^+ of f upstream and the falling part f^- downstream: with n^- = 1 on the side that the
     flow enters and 0 on the other, j = (v . n) rho_hat and
 
@@ -82,8 +82,9 @@ class Continuity(PointTerm):
 class MeanFlux(FacetMean):
     """Equation of the mean of v . n over a facet, m/s, with the sign of the facet's first side.
 
-    Where a trace is one number, this flux gives the whole facet one upwind side: if the side changed along
-    the facet, the trace would be a mean of both cells, and a cell's outflow be taken from its neighbour too.
+    If a trace is one number, this flux gives the whole facet one upwind side. If the side changed along the
+    facet, the trace would be a mean of both cells, and the outflow of a cell would be taken from its
+    neighbour too.
     """
 
     name = "mean_flux"
@@ -166,7 +167,7 @@ class UnbalancedMomentum(CellMean):
 
         int (rho - rho_old)/tau v - rho (v . grad) v + int_{dK} j v,    j the flux of mass through a facet.
 
-    The residual is not zero, since products of v with constants are not in the test space P_m.
+    The residual is not zero, since v times a constant is not in the test space P_m.
     """
 
     name = "unbalanced_momentum"

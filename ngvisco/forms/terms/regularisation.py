@@ -145,7 +145,8 @@ class FieldDiffusion(PointTerm):
         return self._weight(u) * u.z_slope_hat - u.z_slope * u.context.normal
 
     def _jump(self, u: Fields) -> CoefficientFunction:
-        """Jump zeta_hat - zeta; z replaces zeta for parameters and is added to it in linear directions."""
+        """Jump zeta_hat - zeta; for parameters z replaces zeta, and in linear directions z is added to
+        zeta."""
         jump = u.zeta_delta_hat - self._of_strains(u.zeta)
         return jump if self.of_itself is None else jump - self.of_itself * u.z
 

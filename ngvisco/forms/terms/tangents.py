@@ -11,12 +11,13 @@ other energy the mean of N over the facet is subtracted.  The force is then that
 
 the point at which the tangents of phi on both sides meet.  With zeta = phi'(z) and the Bregman distances D_21
 and D_12 between both sides, both >= 0 for a convex energy, b = (D_21 - D_12)/(D_21 + D_12) lies in [-1, 1].
-Projected conjugates may give a larger b.  So may parameters, in which no energy is convex: [z] : [zeta] may
-be zero where N is not.  N itself has no denominator.
+Projected conjugates may give a larger b.  Parameters, in which no energy is convex, may do so too: [z] :
+[zeta] may be zero where N is not. N itself has no denominator.
 
 The energy may have no value at a trace, as ln det B at det B <= 0, although it has one at all points of the
 cells' rule.  Such a facet keeps its thrust, which the ledger's momentum defect shows.  Since the force jumps
-there, the facet keeps it for the rest of the step once a trace of an iterate has no energy.
+when a trace loses its energy, a facet that has no energy in one iterate keeps its thrust for the rest of the
+step.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from ngvisco.physics.response import Respond
 from ngvisco.physics.tensors import if_positive, is_number
 
 _ROUNDING = 1e-14
-"""Share of a facet that counts as none."""
+"""Share of a facet below which the share counts as zero."""
 
 
 class TangentGap(OfFacet):
