@@ -227,8 +227,7 @@ class Bounds:
     def lack(self) -> str | None:
         """Message where the present state, or its stored energy, is not a number; None if all are numbers.
 
-        The check of the energy covers the density and the variables, because NaN in one of these makes the
-        energy NaN.
+        The check of the energy covers density and variables, whose NaN makes the energy NaN.
         """
         where = self.step.without_energy()
         if self._ranks.any(len(where) > 0):
@@ -239,9 +238,8 @@ class Bounds:
         return f"the unknown {bad[0]!r} of the state is no number somewhere" if bad else None
 
     def drift(self) -> str | None:
-        """Message that variables of one distortion differ by more than ``most`` in the mean of a cell. It is
-        None if no variables differ so much, and for a run with sources, in which the variables may
-        differ."""
+        """Message that variables of one distortion differ by more than ``most`` in the mean of a cell. None
+        if no variables do, and for a run with sources, in which they may differ."""
         self._outside()
         if self.step.sources is not None or not self._ranks.any(not self._farthest <= self.most):
             return None  # no mean is farther than all points
