@@ -179,7 +179,7 @@ _USES = {
     "sym": 2,
     "norm2": 2,
 }
-"""Least number of times that the value of a function contains its arguments."""
+"""Number of times, at least, that the value of a function contains its arguments."""
 
 
 class Evaluator:

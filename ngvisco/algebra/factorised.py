@@ -31,8 +31,8 @@ DROPPED = 1e-2
 takes one per cent more iterations."""
 
 SWEEPS, DAMPING = 2, 1.65
-"""Number of Jacobi sweeps before and after the coarse problem, and their damping, below 2, in units of
-1/(largest eigenvalue of D^{-1} A), which depends on the mesh."""
+"""Number of Jacobi sweeps before and after the coarse problem, and their damping. The damping is below 2 in
+units of 1/(largest eigenvalue of D^{-1} A), since this eigenvalue depends on the mesh."""
 
 
 class Direct(Protocol):

@@ -63,7 +63,8 @@ class LocalMatrix:
 
         ``weights``, (rows,), of a quadrature rule multiply rows in tests.  ``pieces`` is the number of equal
         parts of a cell's rows, its sides, each with nodes at the same places; by default all rows are nodes.
-        ``other`` has the same functions at the points of another rule; its nodes are shared if they suffice.
+        ``other`` has the same functions at the points of another rule; the nodes of ``other`` are shared if
+        they suffice.
         """
         self.cells, self.weights, self.pieces = cells, weights, pieces
         self.height, self.width = matrix.shape

@@ -1,8 +1,8 @@
 """Single precision of the flow's linear systems: half the memory traffic, twice the numbers an operation.
 
 An increment is solved for to 3 per cent, and the next residual contains the rest.  Residuals, like equations
-and ledger, are in double precision.  Only operators on increments are single.  Quantities of the state, such
-as jumps, which are small differences, are evaluated in double precision and then rounded.
+and ledger, are in double precision.  Only operators on increments are in single precision.  Quantities of
+the state, such as jumps, which are small differences, are evaluated in double precision and then rounded.
 """
 
 import numpy as np

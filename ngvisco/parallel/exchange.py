@@ -256,7 +256,8 @@ class Interpolation:
 
     ``Set`` projects element by element and averages shared unknowns.  NGSolve adds the ranks' parts in the
     order of the messages, so that the sum of three parts is rounded in varying ways.  Ranks that share an
-    unknown with two others therefore set in turns, with zeros elsewhere, and the turns are added in order.
+    unknown with two others therefore call ``Set`` in turns, with zeros on all other ranks, and the results
+    are added in the order of the turns.
     """
 
     def __init__(self, space: FESpace) -> None:

@@ -86,8 +86,8 @@ def drifts(material: Material, z: Values, traced: Collection[str] = ()) -> dict[
     <= 0.
 
     For F F^T only the loss of det F counts, and the drift is at most zero: a mean of such tensors has a
-    larger determinant than the tensors (Minkowski), and an energy above rest.  A mean of F has a smaller
-    determinant where rotations differ, and frees rest energy.
+    larger determinant than the tensors (Minkowski), and an energy above rest.  Where rotations differ, a
+    mean of F has a smaller determinant, and energy at rest becomes free.
     """
     volume = next((v for v in material.variables if isinstance(v, (Jacobian, ReciprocalJacobian))), None)
     if volume is None or volume.name in material.continued:

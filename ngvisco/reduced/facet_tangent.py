@@ -166,7 +166,7 @@ class _Mean:
         return self._coupling.tested(full, self._mass.functions)
 
     def solved(self, loads: np.ndarray) -> np.ndarray:
-        """The change of the mean's coefficients with ``loads`` (sides, size, .) of one side."""
+        """Change of the mean's coefficients by ``loads`` of one side, (sides, size, .)."""
         parts = loads.reshape(len(loads), len(self._components), self._functions, loads.shape[-1])
         return (-self._mass.inverses[self._facet][:, None] @ parts).reshape(loads.shape)
 

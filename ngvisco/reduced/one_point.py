@@ -136,7 +136,7 @@ class OnePoint:
 def _require_dissipation(term: PointTerm, u: Fields) -> None:
     """Raise NotAtPointsError if a term's dissipation on facets is no mapping of names to arrays at points.
 
-    Dissipation of values that only forms have passes: the ledger integrates it by its form.
+    A dissipation that reads values which only forms have is admitted: the ledger integrates it by its form.
     """
     try:
         of_names = dict(term.dissipated_on_facets(u))

@@ -78,7 +78,7 @@ class Scales:
     is_sharp: bool = False
     """Whether bodies are put apart at the end of each step."""
     parting: str | None = None
-    """Warning, in words, about variables of one distortion that may part."""
+    """Warning, in words, about variables of one distortion that may drift apart."""
     unborne: str | None = None
     """Warning, in words, about a pressure at the start that a law cannot bear."""
     k: int = 2

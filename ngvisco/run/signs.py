@@ -27,7 +27,7 @@ CREEP_POWER = "creep_power_min"
 """Column of the least M : Pi at a point, over all bodies and branches."""
 _NEGATIVE = 1e-9
 """Share of the total dissipation, or of the total production of entropy, by which one mechanism may be
-negative: an iteration's error."""
+negative, since the iteration has an error."""
 _ROUNDING = 1e-12
 """Share of the largest power at a point that rounding may give to a power of zero."""
 _MISSED = 0.01

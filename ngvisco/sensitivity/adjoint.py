@@ -4,11 +4,11 @@ Let g_i be the slope of a number J by the solution U_i of a stage.  From the las
 
     R_U^T lambda_i = g_i,     g_k <- g_k - R_{y_k}^T lambda_i for the start states y_k of the stage.
 
-If J has rows of R at walls, c . R, as forces on walls do, then g_i contains R_U^T c, and the products with
-R_{y_k}^T and R_p are those of lambda_i - c.  Then dJ/dp is - sum_i lambda_i . R_p, plus the slope by the
-start times the derivative of the start, plus the explicit dependence of J on p.  Derivatives by p at fixed
-states are differences of fourth order, as in the tangent.  One adjoint gives the derivatives by all
-parameters, and by the start values of all fields.
+If J contains rows of R at walls, c . R, as a force on a wall does, then g_i contains R_U^T c, and lambda_i -
+c replaces lambda_i in the products with R_{y_k}^T and R_p.  Then dJ/dp is - sum_i lambda_i . R_p, plus the
+slope by the start times the derivative of the start, plus the explicit dependence of J on p.  Derivatives by
+p at fixed states are differences of fourth order, as in the tangent.  One adjoint gives the derivatives by
+all parameters, and by the start values of all fields.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ class Adjoint:
     def _seeds_of_start(
         self, weights: np.ndarray, of_starts: np.ndarray, states: list[np.ndarray], number: int
     ) -> np.ndarray:
-        """Slopes of the numbers by a start state, (numbers, unknowns), of the present state's columns."""
+        """Slopes, (numbers, unknowns), of the present state's columns in the numbers by a start state."""
         result = np.zeros((len(weights), len(self.base.state)))
         for name in self.slopes.reading_start:
             if (of_column := weights[:, self.base.columns.names.index(name)]).any():
@@ -104,7 +104,7 @@ class Adjoint:
         return result
 
     def _put_start(self, weights: np.ndarray, put: Callable[[Follower], None]) -> None:
-        """Set the steps' start for all followers, if columns with ``weights`` read it."""
+        """Set the step's start for all followers, if columns with ``weights`` read this start."""
         names = self.base.columns.names
         if any(weights[:, names.index(name)].any() for name in self.slopes.reading_start):
             for follower in (self.base, *(f for near in self.near for f in near.followers)):
@@ -210,7 +210,8 @@ class Adjoint:
         whole: np.ndarray,
         loads: np.ndarray,
     ) -> None:
-        """Add the slopes by the stages, from the slopes ``whole`` by a combined end, the present state."""
+        """Add the slopes by the stages to ``loads``; ``whole`` are the slopes by a combined end, the present
+        state."""
         base, starts = self.base, self.starts
         ranges = base.step.layout.ranges
         is_v = np.zeros(len(base.state), dtype=bool)
@@ -239,7 +240,7 @@ class Adjoint:
     def _impulses(
         self, number: int, recorded: RecordedStep, solutions: list[np.ndarray], loads: np.ndarray
     ) -> np.ndarray:
-        """Weights of the momentum's rows at a combined end in the numbers, (numbers, unknowns).
+        """Weights, (numbers, unknowns), that the momentum's rows at a combined end have in the numbers.
 
         The rows' power has slopes by the last stage's velocity, which are added to ``loads``.
         """

@@ -33,7 +33,7 @@ from ngvisco.sensitivity.outline_slopes import Corners, OutlineSlopes, of_gap
 from ngvisco.sensitivity.variations import Slope, Variations, basis_at
 
 _QUOTIENTS = ("x", "y", "z")
-"""Columns of densities whose integrals are over the volume."""
+"""Columns that are integrals of densities over the body's volume."""
 _OF_OUTLINES: dict[str, Callable[[OutlineSlopes], Corners]] = {
     **{name: partial(OutlineSlopes.deformation, column=name) for name in ("L", "B", "D", "angle")},
     "perimeter": OutlineSlopes.perimeter,
@@ -45,9 +45,9 @@ _OF_OUTLINES: dict[str, Callable[[OutlineSlopes], Corners]] = {
 class BodySlopes:
     """Slopes of the columns of a prepared table of bodies.
 
-    Integrals have variations of forms.  Measures of an outline are functions of the fractions and the
-    velocity at points in cells, and have slopes by these values, which weighted sums over the points carry to
-    the state.  The force of other bodies has slopes by the stress and by the averaged fraction.
+    The slope of an integral is a variation of a form. A measure of an outline is a function of the fractions
+    and the velocity at points in cells; its slope by these values becomes a slope by the state in weighted
+    sums over the points.  The force of other bodies has slopes by the stress and by the averaged fraction.
     """
 
     def __init__(self, table: Bodies, variations: Variations) -> None:
@@ -117,7 +117,8 @@ class BodySlopes:
 
     @cached_property
     def _weights(self) -> tuple[Callable[[np.ndarray], np.ndarray], list[GridFunction], Slope]:
-        """Solve for functions with given values at the points, functions of weights, and the slope."""
+        """A solver for functions with given values at the points, functions that hold weights, and the slope
+        of the weighted sum."""
         mesh, lattice = self.step.mesh, self.table.fractions.lattice
         space = L2(mesh, order=PIECES)
         functions = [GridFunction(space) for _ in range(len(self.table.names) + mesh.dim)]
@@ -192,7 +193,8 @@ class BodySlopes:
         return slope, lambda: float(quadrature.integrate_cells(now))
 
     def _averaged(self, name: str) -> Callable[[np.ndarray], np.ndarray]:
-        """Slope of weights times the coefficients of the averaged fraction of a body."""
+        """A function that returns the slope of weights times the coefficients of a body's averaged
+        fraction."""
         if name not in self._averages:
             tractions, step = self.table.tractions, self.step
             assert tractions is not None

@@ -94,7 +94,8 @@ class Columns:
         self._of_state, self._of_rates, self._of_forces = mask(state), mask(rates), mask(forces)
         self._of_extrema, self._of_norms = mask(self.extrema.names), mask(norms)
         self.is_of_steps = mask({*forces, *NUMERICAL})
-        """Whether each column is an exchange in a step, its length times a mean over stages, (columns,)."""
+        """Whether each column is an exchange in a step: the step's length times a mean over stages,
+        (columns,)."""
         self.has_distances = bool(mask(NUMERICAL).any())
         """Whether some columns are parts of the scheme's dissipation."""
         self._of_tables = [

@@ -127,8 +127,8 @@ def converted(data: Data, units: Mapping[str, str | None], factor: Any = None) -
     """The data in the SI units ``units`` of the columns; a unit None is unknown, and its column is not
     converted.
 
-    ``factor(unit, wanted)`` returns the size of a unit in wanted units; without it units have to be the
-    wanted ones.  Raises DataError for a wrong unit.
+    ``factor(unit, wanted)`` returns the size of a unit in wanted units; without this function the data have
+    to be in the wanted units.  Raises DataError for a wrong unit.
     """
     scales = {}
     for name, unit in data.units.items():

@@ -57,7 +57,8 @@ class DistanceSlopes:
 
 
 class _Differentiable:
-    """A step's energy whose values at trial functions have their derivative at the present state."""
+    """The energy of a step with trial functions as arguments: its values have their derivative at the
+    present state."""
 
     def __init__(self, energy: StoredEnergy, followed: list[Fields]) -> None:
         self._energy, self._followed, self.known = energy, followed, dict[Fields, Fields]()

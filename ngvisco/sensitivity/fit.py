@@ -22,7 +22,8 @@ from ngvisco.sensitivity.restart import Restart
 _RANGE = 1e3
 """Factor from the start value to the default bounds of a parameter, downwards and upwards."""
 _UNDETERMINED = 1e-10
-"""Ratio of singular values of the scaled Jacobian below which data do not determine a combination."""
+"""Ratio of singular values of the scaled Jacobian below which the data do not determine a combination of
+parameters."""
 
 
 @dataclass(frozen=True)
@@ -266,7 +267,7 @@ class _Search:
         self._restart: Restart | None = None
 
     def take_up(self, restart: Restart) -> None:
-        """Keep finished runs in a folder, and go on after those that it has."""
+        """Keep finished runs in a folder, and continue after the runs that the folder has."""
         self._restart = restart
         while (part := restart.read(_name(self.runs + 1))) is not None:
             numbers, arrays = part

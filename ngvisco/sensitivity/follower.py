@@ -52,7 +52,7 @@ class Follower:
         self.at(state)
 
     def finish(self, recorded: RecordedStep, states: Sequence[Evolved]) -> None:
-        """Set what the run had as the step's start when it read columns at the end of a step.
+        """Set the step's start that the run had when it evaluated columns at the end of a step.
 
         ``states`` are y_0, y_1, ...; a combined end is its own start.
         """
@@ -102,8 +102,8 @@ class Follower:
     ) -> tuple[np.ndarray, np.ndarray]:
         """State at a combined end with a given velocity, and the momentum equation's residual there.
 
-        ``states`` are y_0, y_1, ..., and ``last`` is the last stage's solution.  ``v`` are coefficients
-        of the velocity, of which moving walls replace the prescribed ones.
+        ``states`` are y_0, y_1, ..., and ``last`` is the last stage's solution.  ``v`` are coefficients of
+        the velocity; those prescribed by moving walls are replaced.
         """
         step, ranges = self.step, self.step.layout.ranges
         step.start_from(list(zip(recorded.weights, states, strict=False)))

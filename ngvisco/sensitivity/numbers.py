@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from ngvisco.sensitivity.columns import Columns
 
 Balanced = tuple[str, list[str]]
-"""Column of a state, and columns of the impulses in a step whose sum its change would be without a defect."""
+"""A column of the state, and the columns of impulses in a step; without a defect the state's change is the
+sum of the impulses."""
 _TEXT = re.compile(r"(?P<column>\S+)\s+(?P<kind>at|until)\s+(?P<time>\S+)")
 
 
@@ -23,8 +24,9 @@ _TEXT = re.compile(r"(?P<column>\S+)\s+(?P<kind>at|until)\s+(?P<time>\S+)")
 class History:
     """Columns at the ends of steps, and their integrals up to these times, (steps + 1, columns, ...).
 
-    Columns that are means over a step's stages, such as rates, are zero in the row of the start.  The
-    integral of a column of exchanges in a step, such as an impulse, is their sum over the steps.
+    Columns that are means over a step's stages, such as rates, are zero in the row of the start.  If a
+    column has exchanges in a step, such as impulses, its integral is the sum of the exchanges over the
+    steps.
     """
 
     times: np.ndarray

@@ -105,8 +105,8 @@ class OutlineSlopes:
         return self._of_region(lambda at: np.ones(len(at))), np.zeros((*self.theta.shape, 2))
 
     def _of_moments(self, moments: Moments, by_second: np.ndarray, by_mixed: np.ndarray) -> Corners:
-        """Slopes of a function of M = mean of x x^T and C = mean of v x^T, about the means, from its slopes
-        by M and C, (2, 2)."""
+        """Slopes of a function of the moments M = mean of x x^T and C = mean of v x^T about the means, from
+        the function's slopes by M and C, (2, 2)."""
         mixed, area = moments.gradient @ moments.second, moments.area
         mean = self._mean_velocity()
 

@@ -28,7 +28,7 @@ from ngvisco.run.snapshot import CHECKSUM, digest_of, identity, opened
 from ngvisco.sensitivity.columns import arguments_of, tables_of
 
 _CASE = "case"
-"""Part that says to which run and which derivatives the folder belongs."""
+"""Part of the folder that identifies its run and its derivatives."""
 _MOMENTS = (0.0, 0.37, 1.0)
 """Times, s, at which functions of time are evaluated."""
 _SAME = 1e-9
@@ -46,7 +46,7 @@ class Restart:
 
     @classmethod
     def at(cls, folder: AnyPath, simulation: Simulation, request: Mapping[str, Any]) -> Restart:
-        """The folder of a run from its present state, and of a ``request``; it is made if there is none.
+        """The folder of a run from its present state, and of a ``request``; a missing folder is made.
 
         The run's mesh and energies are identified as those of a checkpoint, its tables by their arguments.
         Raises CheckpointError if the folder belongs to another run or request; the

@@ -28,16 +28,17 @@ from ngvisco.sensitivity.variations import Slope, Variations
 from ngvisco.sensitivity.wall_rows import WallRows
 
 _SPACING = 1e-3
-"""Spacing of differences by a cell's coefficients, relative to the unknown's largest one in the cell."""
+"""Spacing of differences by a cell's coefficients, relative to the unknown's largest coefficient in the
+cell."""
 
 
 class Slopes:
     """The slopes of a follower's columns at its present state.
 
-    Slopes of ledger columns and of integrals are variations of forms.  The value of a probe is differenced by
-    the coefficients of the probe's cell.  A column with ``rows`` of the residual has two slopes: one by its
-    rows, and the one computed here.  Raises ParameterError for a column without a slope, such as an integral
-    of a coefficient function.
+    Slopes of ledger columns and of integrals are variations of forms. The slope of a probe's value is taken
+    by differences of the coefficients in the probe's cell.  A column with ``rows`` of the residual has two
+    slopes: one by its rows, and the one computed here.  Raises ParameterError for a column without a slope,
+    such as an integral of a coefficient function.
     """
 
     def __init__(self, follower: Follower) -> None:
@@ -96,7 +97,8 @@ class Slopes:
         return slopes | {name: variations.of(integrands[name]) for name in names if name in integrands}
 
     def _reading_start(self) -> set[str]:
-        """Names of the columns whose integrands, or fields, read the start of a stage, as defects do."""
+        """Names of the columns whose integrands or fields read the start of a stage; defects are among
+        them."""
         names = set(self.follower.simulation.ledger.momentum.of_steps)
         for term in self.step.terms:
             u, reads_start = self.starts.fields()

@@ -19,11 +19,11 @@ from ngvisco.sensitivity.follower import Follower
 from ngvisco.sensitivity.variations import Slope, Variations
 
 _READ = {"old", "momentum_old"}
-"""Attributes of a context by which terms read the state from which a stage starts."""
+"""Attributes of a context in which terms find the state from which a stage starts."""
 
 
 class Starts:
-    """Derivatives by one start state y of a stage, and products with the transpose of R_y.
+    """Derivatives by one start state y of a stage, and products with R_y^T.
 
     R depends on sum w_k y_k, and on sum w_k rho_k v_k at the points.  With y_k as trial function and other
     states fixed, R . lambda is an integral with a slope by y_k.
@@ -43,8 +43,8 @@ class Starts:
         self._product = self.step.state.vec.CreateVector()
 
     def fields(self) -> tuple[Fields, Callable[[], bool]]:
-        """Fields of the present state in a step from y_k as trial function, and whether the start was
-        read."""
+        """Fields of the present state in a step that starts from y_k, a trial function; and a function that
+        tells whether the start was read."""
         step, layout = self.step, self.step.layout
         trial = dict(zip(layout.names, layout.space.TrialFunction(), strict=True))
         components, weight = dict(zip(layout.names, self._others.components, strict=True)), self._weight
@@ -132,7 +132,8 @@ class Starts:
         return form, dependent
 
     def through_functions(self, slope: np.ndarray) -> np.ndarray:
-        """Slope by the independent unknowns, of which dependent ones are functions, at the present state."""
+        """Slope by the independent unknowns at the present state; dependent unknowns are functions of
+        these."""
         form, dependent = self._functions
         if not slope[dependent].any():
             return slope

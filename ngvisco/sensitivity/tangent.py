@@ -5,9 +5,9 @@ A stage's solution U of R(U, y; p) = 0 with start states y changes by
     dU = -R_U^{-1} (R_y dy + R_p dp).
 
 R_U is exact.  The bracket is the derivative of R at fixed U along (dy, dp), by differences of fourth order:
-runs with the parameter at p + o h, o = -+1, -+2, evaluate R with the start states y + o h dy.  Columns are
-differenced in this way too, and at a combined end also the momentum equation for v, int rho v . w - <m, w> =
-0.
+runs with the parameter at p + o h, o = -+1, -+2, evaluate R with the start states y + o h dy.  The
+derivatives of columns are such differences too, and at a combined end also those of the momentum equation
+for v, int rho v . w - <m, w> = 0.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Neighbours:
         return differenced(values, self.parameter.spacing)
 
     def freeze(self, base: Follower, state: np.ndarray, stage: Stage | None = None) -> None:
-        """Read extrema at the points at which the run's have theirs in a state."""
+        """Read extrema at the points where the extrema of the run are in a state."""
         if base.columns.extrema.names:
             base.at(state, stage)
             for follower in self.followers:
@@ -177,7 +177,7 @@ class _Tangent:
         return self._columns_at(first.state)
 
     def _columns_at(self, state: np.ndarray) -> np.ndarray:
-        """Derivatives of the columns at a state, with the steps' starts in place."""
+        """Derivatives of the columns at a state; the steps' starts must be set."""
         if not self.near.followers[0].columns.has_ends:
             return np.zeros(len(self.near.followers[0].columns.names))
         moved = self.near.moved(state, self.along)

@@ -121,7 +121,7 @@ class Trajectory:
         self._begin()
 
     def _lacks_derivatives(self) -> bool:
-        """Whether the energy is known at points only, and the equations need more than its slope."""
+        """Whether the energy has values at points only while the equations need more than its slope."""
         model, step = self.simulation.model, self.simulation.rothe_step
         law = model.regularisation
         if step.energy.projected is None:
@@ -180,7 +180,7 @@ class Trajectory:
         return self.restart.require(name)[1]
 
     def _take_up(self, path: Path) -> None:
-        """Go on after the last checkpoint in the file ``path``, with the steps before it."""
+        """Continue after the last checkpoint in the file ``path``, with the steps before this checkpoint."""
         assert self.restart is not None
         before = self.simulation.number
         self.simulation.restore(path)
@@ -223,7 +223,7 @@ class Trajectory:
 
 
 _RUN, _EVERY = "run", 10
-"""Part with the run's checkpoints, and steps between them."""
+"""Name of the part with the run's checkpoints, and number of steps between two of them."""
 
 
 def _name(number: int) -> str:

@@ -60,7 +60,7 @@ class Variations:
         self.weight = Parameter(1.0) if weight is None else weight
         changed = step.state if weight is None else step.state_old
         self.coefficients: np.ndarray = changed.vec.FV().NumPy()
-        """Coefficients that change with the trial functions times ``weight``, (unknowns,), as a view."""
+        """Coefficients to which the trial functions times ``weight`` are added, (unknowns,), as a view."""
 
     def of(self, integrand: Integrand, prepare: Callable[[], None] = lambda: None) -> Slope:
         """Slope of an integral by the step's rules; ``prepare`` updates functions in the integrand first."""

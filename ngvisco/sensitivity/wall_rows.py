@@ -15,8 +15,9 @@ class WallRows:
     """Weights c with which columns contain rows of the residual, c . R(u; .), and the products R_u^T c.
 
     Arrays are (numbers, unknowns), for weights of the columns in numbers, (numbers, columns).  A force has
-    constant c; the power of a moving wall has c = v on the wall.  Multipliers are in the
-    densities of a stage's impulses, and not in those of a combined end, whose rows lack them.
+    constant c; the power of a moving wall has c = v on the wall.  At a stage the densities of impulses
+    contain the walls' multipliers. The equation of a combined end lacks them, so that all of its rows are
+    the walls' impulse.
     """
 
     def __init__(self, follower: Follower) -> None:
@@ -57,9 +58,8 @@ class WallRows:
         return self.follower.step.residual_at(np.logical_or.reduce(parts)[rows], condense=False)
 
     def weights(self, of_columns: np.ndarray, v: np.ndarray | None, at_end: bool = False) -> np.ndarray:
-        """Weights c of the rows in the numbers, at a stage or ``at_end``, a combined end.
-
-        Those of powers are velocities of a state ``v``, if given.
+        """Weights c of the rows in the numbers, at a stage or ``at_end``, a combined end. The weights of
+        powers are velocities of a state ``v``; without ``v`` they are zero.
         """
         result = np.zeros((len(of_columns), self.follower.step.layout.space.ndof))
         for name, c in (self.forces | self.ends if at_end else self.forces).items():

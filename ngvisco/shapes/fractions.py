@@ -33,8 +33,8 @@ MISSED = (
 """Expectation in the error message for a shape that fills no cell."""
 _PIECES = {2: 32, 3: 12}  # pieces of the edges of cut cells, even numbers
 _INSET = 1e-9
-"""Fraction of the distance to the cell's middle by which sample points are moved inwards: a surface along a
-side of the cell then has the cell on one definite side."""
+"""Fraction of the distance to the cell's middle by which sample points are moved inwards, so that a cell
+lies on one definite side of a surface along its side."""
 _AT_ONCE = 200_000  # sub-cells that are computed together
 _QUADRILATERALS = (11, 13, 14)  # Netgen's numbers of the element types
 

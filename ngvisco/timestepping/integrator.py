@@ -39,13 +39,15 @@ from ngvisco.solver.rothe import RotheSolver
 from ngvisco.timestepping.scheme import TimeScheme, backward_euler
 
 _RELAXED, _RELAXATION_TOLERANCE = (1.5, 2.5), 1e-12
-"""Range of the end of a relaxed midpoint step in units of its Rothe step (2 is unrelaxed), and the absolute
-tolerance on it.  R then varies by this fraction of the distance B(u_0, U), which is of order tau^2."""
+"""Range of the end omega of a relaxed midpoint step, in units of the Rothe step (2 is unrelaxed), and the
+absolute tolerance on omega.  R then varies by this fraction of the distance B(u_0, U), which is of order
+tau^2."""
 _MEETINGS, _MEETING = 6, 1e-13
 """Most Rothe steps to make a relaxed step end at a given time, and the relative tolerance on its length."""
 _NOISE_MARGIN, _NOISE_DRAWS = 5.0, 8
 """Rounding of R over the distance between a state and a copy with random rounding errors, and the number of
-copies.  Their root mean square distance is taken, because a single distance may vanish by chance."""
+copies.  The root mean square distance of these copies is taken, because a single distance may vanish by
+chance."""
 
 
 class CarriedField(Protocol):
@@ -291,7 +293,7 @@ class Integrator:
     def _impulse_before_limiting(self, otherwise: np.ndarray) -> np.ndarray:
         """Walls' impulse by the density before limiting; ``otherwise`` if this density gives no velocity.
 
-        A stage needs no such impulse, because it satisfies the rows of the step.
+        At the end of a stage there is no such impulse, because the stage satisfies the rows of the step.
         """
         kept = self._velocity.v.copy()
         try:

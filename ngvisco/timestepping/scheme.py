@@ -83,9 +83,9 @@ class TimeScheme:
     def tilts(self) -> tuple[float, ...]:
         """Tilts c_i - sum_j b_j c_j, by which a stage weights later loads more than earlier ones.
 
-        A stage's load is int_0^1 (1 + 12 tilt_i (s - 1/2)) g(s) ds over the step, s from 0 to 1.  The sum of
-        loads with the weights b is the mean of any g.  If the scheme is of order 2 and g is linear in time,
-        the stage's load is g(c_i).
+        A stage's load is int_0^1 (1 + 12 tilt_i (s - 1/2)) g(s) ds over the step, s from 0 to 1.  For any g
+        the sum of the stages' loads with the weights b is the mean of g.  If the scheme is of order 2 and g
+        is linear in time, the stage's load is g(c_i).
         """
         centre = sum(weight * c for weight, c in zip(self.b, self.c, strict=True))
         return tuple(c - centre for c in self.c)

@@ -70,7 +70,7 @@ def referential_volume(
     0 for a branch with K_e = 0, whose energy does not read J.
 
     The square is not multiplied out: near J = 1 the sum K_e/2 (J - 2 + 1/J) is a difference of large numbers,
-    and its rounding is a force without resistance (``forms.terms.tangents``).
+    and its rounding error is a force that no stiffness resists (``forms.terms.tangents``).
     """
     is_without = isinstance(epsilon, (int, float)) and epsilon == 0
     if is_without and isinstance(K_e, (int, float)) and K_e == 0:
