@@ -534,8 +534,8 @@ MUTANTS = [
         "sensitivity/variations.py",
         (
             "slope of a projected energy",
-            "return lambda: own() + of_energy()",
-            "return own",
+            "return lambda: direct() + of_energy()",
+            "return direct",
             "tests/sensitivity/test_models.py::"
             "test_integrals_of_stresses_follow_an_energy_without_an_expression",
         ),

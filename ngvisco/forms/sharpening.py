@@ -299,14 +299,14 @@ class Sharpening:
             share = np.minimum(1.0, np.where(has > least, has, 0.0) / np.where(gives > 0, gives, 1.0))
             amount = np.minimum(amount, wanted * share[source])
         for (body, source), (_, target) in ((one, two), (two, one)):
-            own, contents = self._amounts[body], self._contents[body]
-            takes, lacks = np.bincount(target, amount, count), np.where(-start[own] > least, -start[own], 0.0)
+            n, contents = self._amounts[body], self._contents[body]
+            takes, lacks = np.bincount(target, amount, count), np.where(-start[n] > least, -start[n], 0.0)
             filling = amount * np.minimum(1.0, lacks / np.where(takes > 0, takes, 1.0))[target]
             for part, at in ((filling, target), (amount - filling, source)):
                 whole = self._means(u) * self._mass
-                is_some = abs(whole[own, at]) > least[at]
-                share = np.where(is_some, part / np.where(is_some, whole[own, at], 1.0), 0.0)
-                for component, carried in ((own, part), *((X, share * whole[X, at]) for X in contents)):
+                is_some = abs(whole[n, at]) > least[at]
+                share = np.where(is_some, part / np.where(is_some, whole[n, at], 1.0), 0.0)
+                for component, carried in ((n, part), *((X, share * whole[X, at]) for X in contents)):
                     change = np.bincount(target, carried, count) - np.bincount(source, carried, count)
                     u[component] += (change / self._mass)[:, None]
         return amount

@@ -63,7 +63,7 @@ def unit(name: str) -> str | None:
 class _Totals:
     """Totals of all rows so far, by motions: defect, exchange, last momentum; and the largest |momentum|."""
 
-    lost: np.ndarray
+    defect: np.ndarray
     exchanged: np.ndarray
     moving: float
     last: np.ndarray
@@ -185,7 +185,7 @@ class Momentum:
         rounding = _ROUNDING * (totals.exchanged / self._reach).max(initial=0.0)
         moving = totals.moving + values["mass"] * self._velocity() + rounding
         scale = self._reach * moving + totals.exchanged
-        row[RELATIVE] = float((abs(totals.lost) / np.where(scale > 0, scale, 1.0)).max())
+        row[RELATIVE] = float((abs(totals.defect) / np.where(scale > 0, scale, 1.0)).max())
         return row
 
     def _added(self, row: Mapping[str, float]) -> _Totals:
@@ -193,7 +193,7 @@ class Momentum:
         before, exchanged = self._totals, self._totals.exchanged
         for quantity in self._given:
             exchanged = exchanged + abs(self._array(row, quantity))
-        defect, moving = before.lost + self._array(row, DEFECT), max(before.moving, row[SIZE])
+        defect, moving = before.defect + self._array(row, DEFECT), max(before.moving, row[SIZE])
         return _Totals(defect, exchanged, moving, self._array(row, "momentum"))
 
     def count(self, row: Mapping[str, float]) -> None:

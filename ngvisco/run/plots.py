@@ -93,8 +93,8 @@ def plot_schemes(ledgers: Mapping[str, Ledger], path: AnyPath) -> None:
         t = ledger.column("time")
         left.plot(t, ledger.column("kinetic"), f"C0{style}", label=label)
         for kind, whose, color in (("dissipation", "model", "C1"), ("numerical", "scheme", "C3")):
-            lost = ledger.exchanged(*(entry.name for entry in ledger.entries if entry.kind == kind))
-            right.plot(t, lost, color + style, label=f"{label}, by the {whose}: {lost[-1]:.2g} J")
+            dissipated = ledger.exchanged(*(entry.name for entry in ledger.entries if entry.kind == kind))
+            right.plot(t, dissipated, color + style, label=f"{label}, by the {whose}: {dissipated[-1]:.2g} J")
     for axis, title in ((left, "kinetic energy, J"), (right, "dissipated, J")):
         axis.set(title=title, xlabel="time, s")
         axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2)

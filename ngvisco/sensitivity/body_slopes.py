@@ -139,8 +139,8 @@ class BodySlopes:
         cells, count = samples.lattice.cells.ravel(), len(samples.places)
         for name, (by_theta, by_v) in corners.items():
             of_places = np.bincount(samples.places[cells], by_theta.ravel())
-            own = (of_places / np.bincount(samples.places))[samples.places]
-            functions[names.index(name)].vec.FV().NumPy()[:] += solve(own)
+            at_points = (of_places / np.bincount(samples.places))[samples.places]
+            functions[names.index(name)].vec.FV().NumPy()[:] += solve(at_points)
             for function, part in zip(functions[len(names) :], np.moveaxis(by_v, 2, 0), strict=True):
                 function.vec.FV().NumPy()[:] += solve(np.bincount(cells, part.ravel(), count))
         return slope()

@@ -210,7 +210,9 @@ class Columns:
     def _values(self, mask: np.ndarray, read: Callable[[], Mapping[str, float]]) -> np.ndarray:
         """Values of the columns in ``mask``; others are zero."""
         row = read() if mask.any() else {}
-        return np.array([row[name] if own else 0.0 for name, own in zip(self.names, mask, strict=True)])
+        return np.array(
+            [row[name] if is_read else 0.0 for name, is_read in zip(self.names, mask, strict=True)]
+        )
 
     def _put(self, values: np.ndarray, table: Series, places: Sequence[int]) -> None:
         row = np.ravel(table.sample(self.simulation))

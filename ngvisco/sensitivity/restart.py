@@ -57,22 +57,22 @@ class Restart:
         parts["tables"] = [arguments_of(table) for table in tables_of(simulation)]
         parts |= {name: identity(simulation)[name] for name in ("ngvisco", "mesh", "energies")}
         described = {name: signature(part, simulation.sampler) for name, part in parts.items()}
-        found = {name: hashlib.sha256(text.encode()).hexdigest() for name, text in described.items()}
+        digests = {name: hashlib.sha256(text.encode()).hexdigest() for name, text in described.items()}
         start = simulation.rothe_step.state.vec.FV().NumPy()
         place = restart.path(_CASE)
         if not place.exists():
-            restart.keep(_CASE, {}, {"start": start}, found)
+            restart.keep(_CASE, {}, {"start": start}, digests)
             return restart
         with opened(place) as file:
-            kept = {name: file.attrs.get(name) for name in found}
-        others = [name for name, value in found.items() if kept[name] != value]
+            kept = {name: file.attrs.get(name) for name in digests}
+        differing = [name for name, value in digests.items() if kept[name] != value]
         there = restart.require(_CASE)[1]["start"]
-        if not others and (
+        if not differing and (
             there.shape != start.shape or abs(there - start).max() > _SAME * abs(there).max(initial=0)
         ):
-            others = ["start"]
-        if others:
-            differ = f"another {', '.join(others)}"
+            differing = ["start"]
+        if differing:
+            differ = f"another {', '.join(differing)}"
             raise CheckpointError(
                 f"{restart.folder}: belongs to a gradient or fit with {differ}; repeat that one, or take a "
                 "new folder"

@@ -171,8 +171,8 @@ class Trajectory:
 
     def kept(self, name: str) -> tuple[int, dict[str, np.ndarray]] | None:
         """The number and the arrays that ``keep`` stored last under a name; None without them."""
-        found = None if self.restart is None else self.restart.read(name)
-        return None if found is None else (int(found[0]["number"]), found[1])
+        part = None if self.restart is None else self.restart.read(name)
+        return None if part is None else (int(part[0]["number"]), part[1])
 
     def require_kept(self, name: str) -> dict[str, np.ndarray]:
         """Arrays that ``keep`` stored under a name."""
@@ -248,10 +248,14 @@ def _step_of(numbers: Mapping[str, float], arrays: Mapping[str, np.ndarray]) -> 
     stages = []
     for i in range(sum(name.endswith(" interval") for name in arrays)):
         front = f"stage {i} "
-        own = {name.removeprefix(front): array for name, array in arrays.items() if name.startswith(front)}
-        stresses = {n.removeprefix("stress "): a for n, a in own.items() if n.startswith("stress ")}
-        interval = Interval(*map(float, own["interval"]))
-        stages.append(Stage(own["state"], own["starts"], float(own["share"]), interval, stresses))
+        of_stage = {
+            name.removeprefix(front): array for name, array in arrays.items() if name.startswith(front)
+        }
+        stresses = {n.removeprefix("stress "): a for n, a in of_stage.items() if n.startswith("stress ")}
+        interval = Interval(*map(float, of_stage["interval"]))
+        stages.append(
+            Stage(of_stage["state"], of_stage["starts"], float(of_stage["share"]), interval, stresses)
+        )
     return RecordedStep(
         numbers["begin"],
         numbers["end"],

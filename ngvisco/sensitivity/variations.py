@@ -91,9 +91,9 @@ class Variations:
 
     def of_fields(self, density: Callable[[dict[str, CoefficientFunction]], CoefficientFunction]) -> Slope:
         """Slope of the integral over cells of a function of the run's fields."""
-        own = [Integrand(density(self.trial_fields))]
+        at_trial = [Integrand(density(self.trial_fields))]
         present = [] if self.step.energy.projected is None else [Integrand(density(self.fields))]
-        return self._with_energy(own, present)
+        return self._with_energy(at_trial, present)
 
     def of_integrands(
         self, make: Callable[[Fields], Mapping[str, list[Integrand]]], names: Sequence[str]
@@ -109,9 +109,9 @@ class Variations:
         The energy of a material without an expression is projected, P phi(z), and its weight w in the
         integrals at the ``present`` state becomes the weight P w of phi(z).
         """
-        own, projected = self.of_sum(integrands), self.step.energy.projected
+        direct, projected = self.of_sum(integrands), self.step.energy.projected
         if projected is None:
-            return own
+            return direct
         quadrature, weight = self.step.quadrature, GridFunction(projected.space)
         load, test = LinearForm(projected.space), projected.space.TestFunction()
         for integrand in present:
@@ -125,7 +125,7 @@ class Variations:
             weight.vec.data = inverse * load.Assemble().vec
 
         of_energy = self.of(Integrand(cells=weight * self.step.energy.near(self.trial)), project)
-        return lambda: own() + of_energy()
+        return lambda: direct() + of_energy()
 
     def applied(self, form: BilinearForm, prepare: Callable[[], None]) -> Slope:
         """Slope of the energy of an NGSolve form."""
@@ -144,7 +144,7 @@ def basis_at(space: FESpace, lattice: Lattice) -> sp.csc_matrix:
     function, cells = GridFunction(space), lattice.of_points
     coefficients, matrix = function.vec.FV().NumPy(), sp.csc_matrix((len(cells), space.ndof))
     for number in range(max(map(len, of_cells))):
-        dofs = np.array([own[number] if number < len(own) else -1 for own in of_cells])
+        dofs = np.array([of_cell[number] if number < len(of_cell) else -1 for of_cell in of_cells])
         coefficients[:] = 0.0
         coefficients[dofs[dofs >= 0]] = 1.0
         at = dofs[cells]
