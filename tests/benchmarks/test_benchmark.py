@@ -5,7 +5,7 @@ from itertools import product
 
 import pytest
 
-from tests.benchmarks import answers, branches, kernels, long_steps
+from tests.benchmarks import answers, branches, kernels, long_steps, workstation
 from tests.benchmarks.__main__ import main
 from tests.benchmarks.ranks import markdown
 from tests.benchmarks.table import against, summary
@@ -22,6 +22,19 @@ def test_quick_run_saves_its_table(tmp_path, capsys):
     text = (tmp_path / "benchmark.md").read_text()
     assert "coupled over split" in text
     assert "one thread over two" in capsys.readouterr().out
+
+
+def test_a_step_has_rows_by_threads_and_by_another_method(tmp_path):
+    """The Lagrangian row solves the same problem; without petsc4py it names what is missing."""
+    assert workstation.main(["--cells", "48", "--steps", "1", "-o", str(tmp_path)]) == 0
+    one, two, other = json.loads((tmp_path / "workstation.json").read_text())
+    assert one["kinetic"] == two["kinetic"] and one["directions"] == two["directions"] > 0
+    if "failed" in other:
+        assert "petsc4py" in other["failed"]
+    else:  # on 48 tetrahedra, where cells are half of the box
+        assert 0.8 <= other["kinetic"] / one["kinetic"] <= 1.1
+    head, _, *lines = (tmp_path / "workstation.md").read_text().splitlines()
+    assert all(line.count("|") == head.count("|") for line in lines)
 
 
 def test_a_second_branch_has_a_row_of_ratios():
