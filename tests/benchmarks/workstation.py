@@ -67,7 +67,7 @@ def swirl(mesh: Any) -> tuple[Callable[[], tuple[int, int]], Callable[[], float]
 
 
 def lagrangian(mesh: Any) -> tuple[Callable[[], tuple[int, int]], Callable[[], float]]:
-    """The same functions of the Lagrangian code."""
+    """Start the Lagrangian code; return two functions like those of ``swirl``."""
     from tests.benchmarks.lagrangian import LagrangianSwirl
 
     run = LagrangianSwirl(mesh, 0.02)
