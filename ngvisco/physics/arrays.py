@@ -224,6 +224,12 @@ class Array(_Node):
         value = np.exp(self.value)
         return Array(value, [(self, lambda g: g * value)])
 
+    def expm1(self) -> Array:
+        """exp(a) - 1 of scalars a, to all digits also for small a."""
+        self._require_scalar("an exponential")
+        value = np.expm1(self.value)
+        return Array(value, [(self, lambda g: g * (value + 1))])
+
     def _require_scalar(self, operation: str) -> None:
         if not self.is_scalar:
             raise TypeError(f"only scalars have {operation}")

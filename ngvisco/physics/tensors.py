@@ -97,6 +97,14 @@ def exp(a: Tensor) -> Tensor:
     return a.exp() if hasattr(a, "exp") else ngsolve.exp(a)
 
 
+def expm1(a: Tensor) -> Tensor:
+    """exp(a) - 1 of a scalar, to all digits also for small a."""
+    if hasattr(a, "expm1"):
+        return a.expm1()
+    half = 0.5 * a
+    return 2 * ngsolve.sinh(half) * ngsolve.exp(half)
+
+
 def det(A: Tensor) -> Tensor:
     """Determinant of a 3x3 tensor."""
     return A.determinant() if hasattr(A, "determinant") else Det(A)

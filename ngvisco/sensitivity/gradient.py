@@ -18,7 +18,7 @@ from ngvisco.sensitivity.adjoint import Adjoint
 from ngvisco.sensitivity.columns import Columns, tables_of
 from ngvisco.sensitivity.follower import Follower
 from ngvisco.sensitivity.numbers import Misfit, Numbers
-from ngvisco.sensitivity.parameters import OFFSETS, Named
+from ngvisco.sensitivity.parameters import AT_FIXED_STATES, OFFSETS, STEP, Named
 from ngvisco.sensitivity.restart import Restart
 from ngvisco.sensitivity.slopes import Slopes
 from ngvisco.sensitivity.tangent import Neighbours, history, tangents
@@ -251,4 +251,5 @@ def _parameters(by: Sequence[str], simulation: Simulation, method: str) -> list[
     names = require_collection("by", by, 'names of parameters, e.g. ["material.G_e"]')
     if not (names or method == "adjoint") or len(set(names)) < len(names):
         raise ParameterError("by", by, "at least one parameter, and each once")
-    return [Named.of(name, simulation) for name in names]
+    step = AT_FIXED_STATES if method == "adjoint" else STEP
+    return [Named.of(name, simulation, step) for name in names]

@@ -36,8 +36,9 @@ PART = "part of a run"
 """Words of messages for what the first key of a path names."""
 _START = "initial"
 
-STEP = 1e-4
-"""Spacing h of the differences by a parameter p, relative to p."""
+STEP, AT_FIXED_STATES = 1e-4, 1e-3
+"""Spacing h of the differences by a parameter p, relative to p, for a tangent, whose differences also change
+states, and for an adjoint: laws are smoother in their parameters than in the state."""
 OFFSETS = {4: (-2.0, -1.0, 1.0, 2.0), 2: (-0.1, 0.1)}
 """Offsets o of the evaluations at p + o h, by the order of the differences."""
 
@@ -75,8 +76,8 @@ class Named:
     keys: tuple[str, ...]
 
     @classmethod
-    def of(cls, name: str, simulation: Simulation) -> Named:
-        """The parameter of a run with a given name."""
+    def of(cls, name: str, simulation: Simulation, step: float = STEP) -> Named:
+        """The parameter of a run with a given name; ``step`` is the spacing relative to its size."""
         if not isinstance(name, str):
             raise ParameterError("by", name, 'names of parameters, e.g. "material.G_e"')
         keys = tuple(name.split("."))
@@ -90,7 +91,7 @@ class Named:
         parent = _found(_root(simulation, keys[0]), keys[1:-1], name)
         beside = parent if isinstance(parent, (tuple, list)) else ()
         size = max([abs(value), *(abs(as_number(neighbour) or 0.0) for neighbour in beside)])
-        return cls(name, value, STEP * (size or 1.0), keys)
+        return cls(name, value, step * (size or 1.0), keys)
 
     @property
     def is_of_start(self) -> bool:

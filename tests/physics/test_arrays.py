@@ -1,5 +1,7 @@
 """Arrays at points: derivatives of energies, forms that are linear in tests, and unsupported operations."""
 
+import math
+
 import ngsolve
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from ngvisco.physics.pointwise import energy_and_slope
 from ngvisco.physics.tensors import (
     dev,
     embed_gradient,
+    expm1,
     if_positive,
     inner,
     log,
@@ -82,6 +85,18 @@ def test_an_energy_that_needs_ngsolve_is_left_to_it():
 def test_meaningless_operations_are_type_errors(wrong):
     with pytest.raises(TypeError):
         wrong(Array(np.ones((3, 3, 2))), Array(np.ones(2)))
+
+
+@pytest.mark.parametrize("a", [1e-12, -3e-4, 0.7])
+def test_exponential_less_one_has_all_digits_by_arrays_and_by_expressions(a):
+    exact, slope = math.expm1(a), math.exp(a)
+    values = Array(np.array([a]))
+    result = expm1(values)
+    assert result.value[0] == pytest.approx(exact, rel=1e-15, abs=0)
+    assert derivatives(result, [values])[0][0] == pytest.approx(slope, rel=1e-15)
+    variable, point = CF(a).MakeVariable(), one_triangle()(0.3, 0.3)
+    assert expm1(variable)(point) == pytest.approx(exact, rel=1e-15, abs=0)
+    assert expm1(variable).Diff(variable, CF(1.0))(point) == pytest.approx(slope, rel=1e-15)
 
 
 @pytest.mark.parametrize("exponent", [0, 0.5, 1, 1.5, 2])

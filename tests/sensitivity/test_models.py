@@ -3,6 +3,8 @@
 All of them by all schemes are the verification case ``sensitivities``.
 """
 
+from functools import partial
+
 import numpy as np
 import pytest
 from differentiated import UNTIL, VELOCITY, started
@@ -33,11 +35,11 @@ def bodies(stiffness, **options):
     return started(model, mesh=box((1, 1), maxh=0.6), initial=nv.Initial(velocity=VELOCITY), **options)
 
 
-def heated(expansion, **options):
+def heated(expansion, by_scheme=False, **options):
     material = nv.Thermal(material=ELASTIC, c=2.0, theta_R=300.0, expansion=expansion)
     initial = nv.Initial(density=1.0, velocity=VELOCITY, temperature=300 + 20 * x)
-    model = nv.Model(material=material, viscosity=VISCOSITY, heat=nv.Heat(conductivity=0.5))
-    return started(model, initial=initial, **options)
+    heat = nv.Heat(conductivity=0.5, numerical_heating=by_scheme)
+    return started(nv.Model(material=material, viscosity=VISCOSITY, heat=heat), initial=initial, **options)
 
 
 def yielding(stress, **options):
@@ -69,6 +71,20 @@ def test_both_are_what_differences_tend_to(make, name, value, options):
     assert np.allclose(tangent, (up - down) / (2 * h), rtol=3e-6, atol=0)
     # 600 J of heat round the energies; the error grows like one over the spacing of differences (NOTES)
     assert np.allclose(adjoint, tangent, rtol=3e-6 if make is heated else 1e-6, atol=0)
+
+
+@pytest.mark.parametrize("solver", ["coupled", by_ci("split")])
+def test_heat_by_the_scheme_has_derivatives_beside_much_heat(solver):
+    """The power has 7e-5 of the expansion's relative change; the rounding of 600 J of heat bounds the digits."""
+    value, of = 1e-3, ["power_heat_numerical at 0.06", "power_heat_numerical until 0.06", "bregman at 0.06"]
+    make = partial(heated, by_scheme=True, solver=solver, scheme="backward-euler")
+    tangent, adjoint = (
+        nv.gradient(make(value), UNTIL, of=of, by=["material.expansion"], method=method).jacobian[:, 0]
+        for method in ("tangent", "adjoint")
+    )
+    up, down = (measure(make(value * (1 + s * 1e-2)), UNTIL, of) for s in (1, -1))
+    assert np.allclose(adjoint, (up - down) / (2e-2 * value), rtol=1e-5, atol=0)
+    assert np.allclose(tangent, adjoint, rtol=5e-5, atol=0)
 
 
 def layered(stiffness, **options):

@@ -33,7 +33,7 @@ from ngvisco.errors import ParameterError, Quantity
 from ngvisco.physics.material import ElasticState, Material, conjugates_along, rest_stress_and_modulus
 from ngvisco.physics.parameters import Modulus, substituted
 from ngvisco.physics.signals import sampled
-from ngvisco.physics.tensors import Tensor, exp, log, tr
+from ngvisco.physics.tensors import Tensor, exp, expm1, log, tr
 from ngvisco.physics.variables import ReciprocalJacobian, Values, Variable
 from ngvisco.words import Words, call
 
@@ -223,8 +223,8 @@ class Thermal(Material):
         unit = self.entropy.unit / self.c
         if self.coupling and self.isothermal_material.lagged:
             degraded, clamped = self.taken(z)
-            return heat * (A * exp(unit * z["s"] * J) - A) - clamped + self._degradation(z) * degraded
-        phi = heat * (A * exp(unit * z["s"] * J - self.g(J)) - A)
+            return heat * A * expm1(unit * z["s"] * J) - clamped + self._degradation(z) * degraded
+        phi = heat * A * expm1(unit * z["s"] * J - self.g(J))
         if self.coupling and not self.is_absolute:
             phi = phi + heat * self._Gamma * (1 - A)
         return phi
@@ -236,7 +236,7 @@ class Thermal(Material):
         bulk = self.coupling / self.expansion if self.expansion else 1.0
         warm = self.coupling * self.theta_R * (ratio - 1)
         clamped = 0.5 * A * warm * warm / (bulk + self._Gamma * self.coupling * self.theta_R * ratio)
-        h = heat * (ratio * (exp(-self.g(J)) - 1) + self.g(J))
+        h = heat * (ratio * expm1(-self.g(J)) + self.g(J))
         return A * h + clamped, clamped
 
     def _degradation(self, z: Values) -> Any:
