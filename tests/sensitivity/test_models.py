@@ -75,7 +75,7 @@ def test_both_are_what_differences_tend_to(make, name, value, options):
 
 @pytest.mark.parametrize("solver", ["coupled", by_ci("split")])
 def test_heat_by_the_scheme_has_derivatives_beside_much_heat(solver):
-    """The power has 7e-5 of the expansion's relative change; the rounding of 600 J of heat bounds the digits."""
+    """The power has 7e-5 of the expansion's relative change; rounding of 600 J of heat bounds the digits."""
     value, of = 1e-3, ["power_heat_numerical at 0.06", "power_heat_numerical until 0.06", "bregman at 0.06"]
     make = partial(heated, by_scheme=True, solver=solver, scheme="backward-euler")
     tangent, adjoint = (
