@@ -80,11 +80,24 @@ class Workers:
             count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
             threads = int(os.environ.get("NGVISCO_THREADS", 0)) or max(1, count // beside)
         self.threads = threads
-        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
+        self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
 
     def map(self, work: Callable[[_Part], _Result], parts: Sequence[_Part]) -> list[_Result]:
-        """Results of ``work`` for every part, in order."""
+        """Results of ``work`` for every part, in order.  This thread works too; it takes the first part."""
         if self._pool is None or len(parts) < 2:
             return [work(part) for part in parts]
-        futures = [self._pool.submit(copy_context().run, work, part) for part in parts[1:]]
-        return [work(parts[0]), *(future.result() for future in futures)]
+        results, left = dict[int, _Result](), iter(range(1, len(parts)))
+
+        def take(index: int | None) -> None:
+            while index is not None:
+                results[index] = work(parts[index])
+                index = next(left, None)
+
+        others = [
+            self._pool.submit(copy_context().run, take, next(left))
+            for _ in range(min(self.threads, len(parts)) - 1)
+        ]
+        take(0)
+        for other in others:
+            other.result()
+        return [results[index] for index in range(len(parts))]

@@ -328,6 +328,12 @@ class ReducedResidual:
         law."""
         return self.workers.map(work, parts) if self.slope.is_local else [work(part) for part in parts]
 
+    def at_once(self, *works: Callable[[], Any]) -> list[Any]:
+        """Results of functions of no argument that work on arrays; threads share them if the mesh has several
+        parts.  This thread calls the first function."""
+        is_large = len(self.parts) > 1
+        return self.workers.map(lambda work: work(), works) if is_large else [work() for work in works]
+
     def put(self, x: np.ndarray) -> None:
         """Make a real ``x``, and the unknowns derived from it, the step's state."""
         c, *_ = self._derived(x)

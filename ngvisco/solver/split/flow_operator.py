@@ -173,7 +173,8 @@ class FlowSchurComplement:
             result[: self.nv] += self._with_fields(dv).ravel()
             return result
         x, hyper = np.concatenate([dv, flow[self.size :].reshape(self.dim, -1)], axis=1), self.derivative
-        rows, of_x = self._with_fields(dv), hyper(x)
+        # sums over ranks, which the fields' response has, belong to this thread: the first work is done in it
+        rows, of_x = self.residual.at_once(lambda: self._with_fields(dv), lambda: hyper(x))
         rows += of_x[:, : dv.shape[1]]
         result[: self.nv] += rows.ravel()
         result[self.size :] = of_x[:, dv.shape[1] :].ravel()
