@@ -214,10 +214,11 @@ class Declared(NamedTuple):
         return not {int, float}.isdisjoint(self.kinds)
 
     @property
-    def expected(self) -> str:
+    def expected(self) -> Words:
         """Admitted values in words, for messages."""
         kinds = [kind for kind in self.kinds if kind in (int, float)] or self.kinds
-        return " or ".join(_words(kind, self.range) for kind in kinds if kind is not NoneType)
+        first, *others = (_words(kind, self.range) for kind in kinds if kind is not NoneType)
+        return Words(first, *(part for words in others for part in (" or ", words)))
 
     def number(self, value: object) -> float | None:
         """The value as a Python number; None if it is no number in the range."""
@@ -289,6 +290,9 @@ def _count(parts: tuple[Any, ...]) -> int | None:
     return None if len(parts) == 1 or parts[-1] is Ellipsis else len(parts)
 
 
+_TRUTH = Words(True, " or ", False)
+
+
 def _words(kind: Any, range: str) -> str:
     """A type and the range of its numbers, for messages."""
     container, parts = get_origin(kind), get_args(kind)
@@ -306,7 +310,7 @@ def _words(kind: Any, range: str) -> str:
         whole, is_open = "whole " * (kind is int), range == "" or range.startswith(">")
         return f"a {'finite ' * (is_open and not whole)}{whole}number {range}".rstrip()
     if kind in (bool, str):
-        return "True or False" if kind is bool else "a text"
+        return _TRUTH if kind is bool else "a text"
     return f"a{'n' * (kind.__name__[0] in 'AEIOU')} {kind.__name__}"
 
 
@@ -390,7 +394,7 @@ def require_type(field: str, value: object, kind: type) -> None:
     """Raise ParameterError unless the value is a ``kind``."""
     if not isinstance(value, kind):
         name = f"a {kind.__module__.split('.')[0]}.{kind.__name__}"
-        raise ParameterError(field, value, "True or False" if kind is bool else name)
+        raise ParameterError(field, value, _TRUTH if kind is bool else name)
 
 
 def require_path(field: str, value: object) -> Path:

@@ -18,7 +18,7 @@ from ngvisco.case.reading import sections_of, text_of
 from ngvisco.case.schema import CaseSections
 from ngvisco.case.section import nodes, parameters, sections_in, values_of
 from ngvisco.case.units import Converter
-from ngvisco.case.values import LawValue, RegionText, VectorValue
+from ngvisco.case.values import LAW, REGION, VECTOR, shape_of
 from ngvisco.errors import ParameterError, UnknownNameError, require_path
 from ngvisco.expressions import ExpressionError, parse, parse_region
 from ngvisco.forms.boundary.boundaries import check_boundary_names
@@ -189,13 +189,13 @@ class Case:
         for path, part in sections_in(self.sections):
             for name, kind in values_of(type(part)).items():
                 place, value = (*path, name), getattr(part, name)
-                if kind is VectorValue and isinstance(value, list) and len(value) != dim:
+                if kind is VECTOR and isinstance(value, list) and len(value) != dim:
                     message = f"{value!r:.60}: expected an array of {dim} components, not {len(value)}"
                     raise self.blame.error(place, message)
-                parsed = parse_region if kind is RegionText else parse
+                parsed = parse_region if kind is REGION else parse
                 # shapes in place of a region's text are tables of their own
-                texts = [(place, value)] if kind is RegionText else list(nodes(value, place))
-                for key, text in texts if dim == 2 and kind is not LawValue else ():
+                texts = [(place, value)] if kind is REGION else list(nodes(value, place))
+                for key, text in texts if dim == 2 and kind is not LAW else ():
                     if isinstance(text, str) and "z" in parsed(text).names:
                         message = f"{text!r:.60}: there is no z in a mesh of two dimensions"
                         raise self.blame.error(key, message)
@@ -216,7 +216,7 @@ class Case:
         shapes = []
         for path, part in parts:
             with self.blame.located(*path):
-                shapes.append((path, RegionText.made(part) if isinstance(part, str) else part.built))
+                shapes.append((path, shape_of(part) if isinstance(part, str) else part.built))
         return shapes
 
     def simulation(self, mesh: Mesh, observers: Sequence[Observer] = ()) -> Simulation:

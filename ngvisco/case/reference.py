@@ -31,7 +31,7 @@ from ngvisco.case.section import (
     places,
     quantity,
 )
-from ngvisco.case.values import Value
+from ngvisco.case.values import Kind
 from ngvisco.errors import ParameterError
 from ngvisco.run import fields as output
 from ngvisco.run import passive
@@ -115,7 +115,7 @@ def _walk(model: type[Section], path: tuple[str, ...], kinds: tuple[str, ...]) -
         yield KeyEntry(
             (*path, name),
             kinds,
-            ", ".join(filter(None, (type_text(field.annotation), annotation.range))),
+            ", ".join(filter(None, (type_text(field.rebuild_annotation()), annotation.range))),
             annotation.unit,
             field.is_required(),
             default,
@@ -150,16 +150,15 @@ def type_text(annotation: Any) -> str:
         NoneType: "",
     }
     origin, arguments = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        kinds = [part.words for part in arguments if isinstance(part, Kind)]
+        return kinds[0] if kinds else type_text(arguments[0])
     if annotation in plain:
         return plain[annotation]
-    if isinstance(annotation, type) and issubclass(annotation, Value):
-        return annotation.words
     if origin is Literal:
         return f"one of {', '.join(json.dumps(value) for value in arguments)}"
     if origin in (Union, UnionType):
         return " or ".join(dict.fromkeys(filter(None, map(type_text, arguments))))
-    if origin is Annotated:
-        return type_text(arguments[0])
     if models_in(annotation):
         return {dict: "tables by name", list: "array of tables"}.get(origin, "table")
     inner = type_text(arguments[-1])

@@ -14,7 +14,7 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, create_model, mo
 
 from ngvisco.case import catalogue
 from ngvisco.case.section import Section, laws, parameters, section, tagged
-from ngvisco.case.values import RegionText
+from ngvisco.case.values import REGION
 from ngvisco.errors import ParameterError, Quantity
 from ngvisco.physics.bodies import Body, StartPlace
 from ngvisco.physics.flow_rules import FlowRule
@@ -135,7 +135,7 @@ def _form_of_place(value: Any) -> str:
 
 
 BodyPlace = Annotated[
-    Annotated[RegionText, Tag("<text>")]
+    Annotated[Any, REGION, Tag("<text>")]
     | Annotated[ShapeSection, Tag("<shape>")]
     | Annotated[list[ShapeSection], Tag("<shapes>")],
     Discriminator(_form_of_place),

@@ -27,16 +27,7 @@ from pydantic import (
 )
 
 from ngvisco.case.laws import EnergyText
-from ngvisco.case.values import (
-    LawValue,
-    ModulusValue,
-    NumberValues,
-    RowsValue,
-    ScalarValue,
-    TensorValue,
-    Value,
-    VectorValue,
-)
+from ngvisco.case.values import LAW, MODULUS, NUMBERS, PLAIN, ROWS, SCALAR, TENSOR, VECTOR, Kind
 from ngvisco.errors import Declared, Quantity, UnknownNameError
 from ngvisco.physics.diffusion import WallExchange
 from ngvisco.physics.heat import Conductivity, WallHeat
@@ -93,13 +84,13 @@ class Section(BaseModel):
 
 _TYPES: dict[Any, Any] = {
     **{plain: plain for plain in (float, int, bool, str, EnergyText)},
-    ArrayLike: NumberValues,
-    Modulus: ModulusValue,
-    Conductivity: LawValue,
-    float | CoefficientFunction: ScalarValue,
-    CoefficientFunction | Sequence[float | CoefficientFunction]: VectorValue,
-    CoefficientFunction: RowsValue,
-    Mapping[str, CoefficientFunction]: dict[str, TensorValue],
+    ArrayLike: Annotated[Any, NUMBERS],
+    Modulus: Annotated[Any, MODULUS],
+    Conductivity: Annotated[Any, LAW],
+    float | CoefficientFunction: Annotated[Any, SCALAR],
+    CoefficientFunction | Sequence[float | CoefficientFunction]: Annotated[Any, VECTOR],
+    CoefficientFunction: Annotated[Any, ROWS],
+    Mapping[str, CoefficientFunction]: dict[str, Annotated[Any, TENSOR]],
     Mapping[str, float]: dict[str, float],
 }
 """The schema's types by the type hints of parameters."""
@@ -287,14 +278,11 @@ def _parts(annotation: Any) -> Iterator[Any]:
 
 
 @functools.cache
-def values_of(model: type[Section]) -> dict[str, type[Value]]:
+def values_of(model: type[Section]) -> dict[str, Kind]:
     """Keys of a section whose values are neither numbers nor texts, with the kind of each value."""
-    kinds = {}
-    for name, field in model.model_fields.items():
-        for part in _parts(field.annotation):
-            if isinstance(part, type) and issubclass(part, Value):
-                kinds[name] = part
-    return kinds
+    fields = model.model_fields.items()
+    parts = ((name, part) for name, field in fields for part in _parts(field.rebuild_annotation()))
+    return {name: part for name, part in parts if isinstance(part, Kind)}
 
 
 def parameters(part: Section) -> dict[str, Any]:
@@ -305,7 +293,7 @@ def parameters(part: Section) -> dict[str, Any]:
     kinds, arguments = values_of(type(part)), inspect.signature(type(part).target).parameters
     values = {name: getattr(part, name) for name in type(part).model_fields if name in arguments}
     given = {name: value for name, value in values.items() if value is not None}
-    return {name: kinds.get(name, Value).made(_built(value)) for name, value in given.items()}
+    return {name: kinds.get(name, PLAIN).made(_built(value)) for name, value in given.items()}
 
 
 def _built(value: Any) -> Any:

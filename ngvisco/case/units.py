@@ -19,7 +19,7 @@ from typing import Any
 from ngvisco.case.laws import EnergyText
 from ngvisco.case.schema import Units
 from ngvisco.case.section import Section, given, models_in, quantity, reached, values_of
-from ngvisco.case.values import FieldValue, NumberValues, Value, Wrong, is_table
+from ngvisco.case.values import NUMBERS, PLAIN, Kind, Wrong, is_table
 from ngvisco.errors import ParameterError
 from ngvisco.expressions import ExpressionError, parse, parse_region
 from ngvisco.physics.materials import read_prony
@@ -126,7 +126,7 @@ class Converter:
                 result[name] = str((self._directory / value).resolve())
                 continue
             try:
-                kind = values_of(model).get(name, Value)
+                kind = values_of(model).get(name, PLAIN)
                 in_si = self._entry(self._of_files(value, kind), model, name, data)
             except ParameterError as error:
                 result[name] = Wrong(f"{error.value!r:.60}: expected {error.expected}")
@@ -163,20 +163,20 @@ class Converter:
             # the energy's value is in units of the case, its variables are numbers; [units] has no J/kg
             scale = 1.0 if data.get("per") == "mass" else self._scale(unit)
             return value if scale == 1.0 or not isinstance(value, str) else f"({value})*{scale!r}"
-        is_function = values_of(model).get(name, NumberValues) is not NumberValues
+        is_function = values_of(model).get(name, NUMBERS) is not NUMBERS
         if unit in ("", "any") or (unit == "1" and not is_function):
             return value
         return self._value(value, _with_exponents(unit, model, data), is_function)
 
-    def _of_files(self, value: Any, kind: type[Value]) -> Any:
+    def _of_files(self, value: Any, kind: Kind) -> Any:
         """A value in which tables of time, ``{ file = "load.csv" }``, are replaced by their numbers."""
-        if issubclass(kind, FieldValue) and isinstance(value, list):
+        if kind.is_field and isinstance(value, list):
             return [self._of_files(part, kind) for part in value]
         if not isinstance(value, dict) or "file" not in value or not set(value) <= {"file", "column"}:
             return value
-        if issubclass(kind, FieldValue):
+        if kind.is_field:
             return _numbers_of(self._directory, **value)
-        is_rows = kind is NumberValues and isinstance(value["file"], str) and len(value) == 1
+        is_rows = kind is NUMBERS and isinstance(value["file"], str) and len(value) == 1
         return read_prony(self._directory / value["file"]).tolist() if is_rows else value
 
     def _in_si_places(self, text: str) -> str:

@@ -123,5 +123,5 @@ def remedy(material: Material) -> str:
     if not any(v.frame == "relaxed" for v in material.variables):
         return better
     if isinstance(material, IsotropicElastic):
-        return f'elastic_state="B" where the body flows, in which nothing winds up, or {better}'
+        return f'material.elastic_state = "B" where the body flows, in which nothing winds up, or {better}'
     return f"variables by B = F F^T where the body flows and the energy is isotropic, or {better}"

@@ -269,7 +269,7 @@ class ReferenceEnergy(Material):
                 "an energy f(B) + U(J) per reference volume: one per actual volume is not convex there; "
                 "IsochoricNeoHookean, ReferentialNeoHookean, ReferentialMooneyRivlin, ",
                 call("PerReferentialVolume", material=...),
-                ' by elastic_state="B" have it',
+                ' by elastic_state = "B" have it',
             )
             raise ParameterError(self.owner, self.material, expected)
         if not (hessian[:, volume, volume] > 0).all() and not self.is_gas:
