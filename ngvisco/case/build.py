@@ -13,7 +13,7 @@ from typing import Any
 from ngsolve import Mesh
 
 from ngvisco.case import toml
-from ngvisco.case.faults import Blame, CaseError, Fault, Locator, refused
+from ngvisco.case.faults import CaseError, Fault, Locator, refused
 from ngvisco.case.reading import sections_of, text_of
 from ngvisco.case.schema import CaseSections
 from ngvisco.case.section import nodes, parameters, sections_in, values_of
@@ -58,8 +58,8 @@ def load_case(path: str | os.PathLike[str], settings: Sequence[str] = ()) -> Cas
 def parse_case(text: str, source: str, directory: Path, settings: Sequence[str] = ()) -> Case:
     """The case of a text, validated as by ``load_case``; relative paths in the text start at
     ``directory``."""
-    sections, locator = sections_of(text, source, directory, settings)
-    return Case(sections, source, directory, locator)
+    locator = sections_of(text, source, directory, settings)
+    return Case(locator.sections, source, directory, locator)
 
 
 @dataclass(frozen=True)
@@ -70,11 +70,6 @@ class Case:
     source: str
     directory: Path
     locator: Locator
-
-    @cached_property
-    def blame(self) -> Blame:
-        """The object that turns errors into faults of the case's keys."""
-        return Blame(self.sections, self.source, self.locator)
 
     @cached_property
     def units(self) -> Converter:
@@ -166,7 +161,7 @@ class Case:
     def mesh(self) -> Mesh:
         """The mesh of the domain; raises CaseError."""
         domain: Any = self.sections.domain
-        with self.blame.located("domain"):
+        with self.locator.located("domain"):
             mesh: Mesh = type(domain).target(**parameters(domain))  # a new one, since runs refine it
             return mesh
 
@@ -179,9 +174,9 @@ class Case:
         if sections.bodies:
             parts["bodies"] = tuple(self._body(i, body) for i, body in enumerate(sections.bodies))
         else:
-            with self.blame.located("material"):
+            with self.locator.located("material"):
                 parts["material"] = sections.material.built
-        with self.blame.located("bodies" if sections.bodies else "loads"):
+        with self.locator.located("bodies" if sections.bodies else "loads"):
             return Model(**parts).at_order(sections.discretisation.m)
 
     def _check_place(self, dim: int) -> None:
@@ -191,18 +186,18 @@ class Case:
                 place, value = (*path, name), getattr(part, name)
                 if kind is VECTOR and isinstance(value, list) and len(value) != dim:
                     message = f"{value!r:.60}: expected an array of {dim} components, not {len(value)}"
-                    raise self.blame.error(place, message)
+                    raise self.locator.error(place, message)
                 parsed = parse_region if kind is REGION else parse
                 # shapes in place of a region's text are tables of their own
                 texts = [(place, value)] if kind is REGION else list(nodes(value, place))
                 for key, text in texts if dim == 2 and kind is not LAW else ():
                     if isinstance(text, str) and "z" in parsed(text).names:
                         message = f"{text!r:.60}: there is no z in a mesh of two dimensions"
-                        raise self.blame.error(key, message)
+                        raise self.locator.error(key, message)
 
     def _body(self, number: int, body: Any) -> Body:
         self._shapes(number)  # a shape's fault is that of its own key
-        with self.blame.located("bodies", str(number)):
+        with self.locator.located("bodies", str(number)):
             made: Body = body.built
             return made
 
@@ -215,7 +210,7 @@ class Case:
             parts = [((*place, str(i)), part) for i, part in enumerate(where)]
         shapes = []
         for path, part in parts:
-            with self.blame.located(*path):
+            with self.locator.located(*path):
                 shapes.append((path, shape_of(part) if isinstance(part, str) else part.built))
         return shapes
 
@@ -223,21 +218,21 @@ class Case:
         """The simulation at its initial state; raises CaseError for data that the model refuses."""
         sections: Any = self.sections
         self._check_place(mesh.dim)
-        with self.blame.located("walls"):
+        with self.locator.located("walls"):
             check_boundary_names(mesh, sections.walls)
         parts = _built(sections, ("initial", "discretisation", "solver", "time"))
         walls: dict[str | tuple[str, ...], Wall] = {name: wall.built for name, wall in sections.walls.items()}
         time.Set(0.0)
         model = self.model(mesh.dim)
         self._check_bodies(mesh)
-        with self.blame.located("initial"):
+        with self.locator.located("initial"):
             parts["newton"] = parts.pop("solver")
             passive = sections.output.passive
             parts["symmetry"] = sections.domain.symmetry
             run = Simulation(mesh, model, walls=walls, passive=passive, observers=observers, **parts)
             run.check_data(self.until)
         if self.refinement is not None:
-            with self.blame.located("domain", "adapt"):
+            with self.locator.located("domain", "adapt"):
                 self.refinement.check(run)
         self._check_output(run)
         return run
@@ -247,9 +242,9 @@ class Case:
         for i, body in enumerate(self.sections.bodies):
             volume = 0.0
             for path, shape in self._shapes(i):
-                with self.blame.located(*path):
+                with self.locator.located(*path):
                     volume += volumes(mesh, [shape])[0]
-            with self.blame.located("bodies", str(i), "where"):
+            with self.locator.located("bodies", str(i), "where"):
                 if body.where is not None and not volume > 0:
                     raise ParameterError(f"bodies[{body.name!r}].where", body.where, MISSED)
 
@@ -267,7 +262,7 @@ class Case:
         return chosen
 
     def _check_output(self, run: Simulation) -> None:
-        refuse = self.blame.error
+        refuse = self.locator.error
         for name in self.sections.output.vtk.fields or ():
             if name not in run.fields:
                 error = UnknownNameError("field", name, run.fields)

@@ -1,11 +1,11 @@
 """The faults of a case file, which are errors of pydantic and ngvisco in the user's words.
 
-``faults_of`` collects the faults of the file itself; ``Blame`` locates errors while a case is built.
+``faults_of`` collects the faults of the file itself; a ``Locator`` locates errors while a case is built.
 """
 
 import difflib
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -14,16 +14,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from ngvisco.case.schema import CaseSections
-from ngvisco.case.section import (
-    TAGS,
-    Section,
-    given,
-    models_in,
-    owner_of,
-    places,
-    reached,
-    sections_in,
-)
+from ngvisco.case.section import TAGS, Section, given, models_in, owner_of, places, reached, sections_in
 from ngvisco.case.toml import line_of, value_text
 from ngvisco.case.values import Wrong
 from ngvisco.errors import InitialDataError, MeshError, NgviscoError, ParameterError, nearest
@@ -70,15 +61,31 @@ _WORDS = {
 """Messages that replace those of pydantic, by the type of its error."""
 
 
+@dataclass
 class Locator:
-    """Finds the line of a key in the file, or notes that the key was set on the command line."""
+    """Finds the keys of a case, and their lines in its file, to which errors refer.
 
-    def __init__(self, lines: dict[tuple[str, ...], int], overridden: Iterable[tuple[str, ...]] = ()) -> None:
-        self.lines, self.overridden = lines, list(overridden)
-        self.data: Any = {}
-        """The data as the user wrote them."""
-        self.converted: list[tuple[str, Any]] = []
-        """Pairs of last key and written value, for values that were converted to SI units."""
+    Attributes
+    ----------
+    lines : dict of int, by key path
+    overridden : sequence of key paths
+        Keys that were set on the command line.
+    source : str
+        Name of the file.
+    data : dict
+        The data as the user wrote them.
+    converted : list of (last key, written value)
+        Values that were converted to SI units.
+    sections : CaseSections
+        The validated case.
+    """
+
+    lines: Mapping[tuple[str, ...], int]
+    overridden: Sequence[tuple[str, ...]] = ()
+    source: str = ""
+    data: Any = None
+    converted: Sequence[tuple[str, Any]] = ()
+    sections: Any = None
 
     def written(self, path: tuple[str, ...], value: object) -> object:
         """The text, array or table of a key from which an object or a number ``value`` was made; else
@@ -88,18 +95,55 @@ class Locator:
         is_its_text = isinstance(text, str) and (path[-1], text) not in self.converted
         return text if text is not None and (is_its_text or not is_plain) else value
 
-    def fault(self, path: tuple[str, ...], message: str) -> Fault:
+    def fault(self, path: tuple[str, ...], message: object) -> Fault:
         """The fault at a key path, with its line if the file contains the key."""
-        key = ".".join(path)
+        key, words = ".".join(path), in_case(message)
         above = (path[:length] for length in range(len(path), 0, -1))
         written = ((key[-1], given(self.data, key)) for key in above)
         if converted := next((key for key in written if key in self.converted), None):
-            message = f"{message} (in SI units; written was {shown(converted[1])})"
+            words = f"{words} (in SI units; written was {shown(converted[1])})"
         is_within = any(path[: len(o)] == o for o in self.overridden)
         is_made = path not in self.lines and any(o[: len(path)] == path for o in self.overridden)
-        if is_within or is_made:
-            return Fault(f"{key} (set on the command line)", message)
-        return Fault(key, message, line_of(self.lines, path))
+        if path and (is_within or is_made):
+            return Fault(f"{key} (set on the command line)", words)
+        return Fault(key, words, line_of(self.lines, path))
+
+    def error(self, path: tuple[str, ...], message: object) -> CaseError:
+        """A ``CaseError`` with one fault, at the key ``path``."""
+        return CaseError(self.source, [self.fault(path, message)])
+
+    @contextmanager
+    def located(self, *path: str) -> Iterator[None]:
+        """Context that turns errors into faults of a section, or of the key that the error names."""
+        try:
+            yield
+        except (CaseError, PETScError):  # a missing PETSc is no fault of a section
+            raise
+        except NgviscoError as error:
+            raise self.error(*self._blamed(error, path)) from error
+        except Exception as error:  # NGSolve and Netgen raise bare exceptions
+            abort_alone(error)
+            raise self.error(path, f"{type(error).__name__}: {error}") from error
+
+    def _blamed(self, error: NgviscoError, path: tuple[str, ...]) -> tuple[tuple[str, ...], object]:
+        """The key at fault and the message."""
+        value = getattr(error, "value", None)
+        if isinstance(error, MeshError):
+            of_file = self.sections.domain.geometry == "file"
+            return ("domain", "path") if of_file else ("domain",), error
+        key = key_of(error.key, path, self.sections, value) if error.key else path
+        if isinstance(error, ParameterError):
+            return key, refused(self._shown(key, value), error)
+        if isinstance(error, InitialDataError) and key[:1] != ("initial",):
+            there = shown(self._shown(key, error.field))
+            return key, f"{there}: at the start {error.value}; expected {error.expected}"
+        return key, error
+
+    def _shown(self, key: tuple[str, ...], value: object) -> object:
+        """The written value of a key; ``value`` if the key is missing or an array of tables."""
+        there = given(self.sections, key)
+        is_whole = there is None or (isinstance(there, list) and any(isinstance(p, Section) for p in there))
+        return value if is_whole else self.written(key, there)
 
 
 def faults_of(error: ValidationError, model: type[Section], locator: Locator) -> list[Fault]:
@@ -214,10 +258,10 @@ def _resolve(
     return tuple(path), here, keys, [name for each_model in models for name in each_model.model_fields]
 
 
-def numbers_out_of_range(sections: Section, locator: Locator) -> list[Fault]:
+def numbers_out_of_range(locator: Locator) -> list[Fault]:
     """Faults of given numbers that are not finite, or whose products would underflow or overflow."""
     faults = []
-    for path, part in sections_in(sections):
+    for path, part in sections_in(locator.sections):
         for name in part.model_fields_set:
             value = getattr(part, name)
             if isinstance(value, float) and value and not LEAST <= abs(value) <= 1 / LEAST:
@@ -228,52 +272,6 @@ def numbers_out_of_range(sections: Section, locator: Locator) -> list[Fault]:
 
 LEAST = 1e-60
 """The smallest magnitude of a number in a case file; products of five such numbers do not underflow."""
-
-
-@dataclass(frozen=True)
-class Blame:
-    """Finds the keys of a case to which errors refer."""
-
-    sections: CaseSections
-    source: str
-    locator: Locator
-
-    def error(self, path: tuple[str, ...], message: object) -> CaseError:
-        """A ``CaseError`` with one fault, at the key ``path``."""
-        return CaseError(self.source, [self.locator.fault(path, in_case(message))])
-
-    @contextmanager
-    def located(self, *path: str) -> Iterator[None]:
-        """Context that turns errors into faults of a section, or of the key that the error names."""
-        try:
-            yield
-        except (CaseError, PETScError):  # a missing PETSc is no fault of a section
-            raise
-        except NgviscoError as error:
-            raise self.error(*self._fault(error, path)) from error
-        except Exception as error:  # NGSolve and Netgen raise bare exceptions
-            abort_alone(error)
-            raise self.error(path, f"{type(error).__name__}: {error}") from error
-
-    def _fault(self, error: NgviscoError, path: tuple[str, ...]) -> tuple[tuple[str, ...], object]:
-        """The key at fault and the message."""
-        value = getattr(error, "value", None)
-        key = key_of(error.key, path, self.sections, value) if error.key else path
-        if isinstance(error, MeshError):
-            of_file = self.sections.domain.geometry == "file"  # type: ignore[attr-defined]
-            return ("domain", "path") if of_file else ("domain",), error
-        if isinstance(error, ParameterError):
-            return key, refused(self._written(key, value), error)
-        if isinstance(error, InitialDataError) and key[:1] != ("initial",):
-            there = shown(self._written(key, error.field))
-            return key, f"{there}: at the start {error.value}; expected {error.expected}"
-        return key, error
-
-    def _written(self, key: tuple[str, ...], value: object) -> object:
-        """The written value of a key; ``value`` if the key is missing or an array of tables."""
-        there = given(self.sections, key)
-        is_whole = there is None or (isinstance(there, list) and any(isinstance(p, Section) for p in there))
-        return value if is_whole else self.locator.written(key, there)
 
 
 def key_of(field: str, path: tuple[str, ...], sections: Any, value: object = None) -> tuple[str, ...]:

@@ -20,59 +20,55 @@ MAX_FILE_SIZE = 1_000_000
 
 def text_of(path: Path) -> str:
     """The text of a case file; raises CaseError."""
-
-    def refused(message: str, line: int | None = None) -> CaseError:
-        return CaseError(str(path), [Fault("", message, line)])
-
+    locator = Locator({}, source=str(path))
     if path.exists() and not (path.is_file() or path.is_dir()):  # reading a pipe would wait
-        raise refused("cannot be read: it is a pipe or a device, and no file")
+        raise locator.error((), "cannot be read: it is a pipe or a device, and no file")
     try:
         with path.open("rb") as file:
             raw = file.read(MAX_FILE_SIZE + 1)
     except OSError as error:
-        raise refused(f"cannot be read: {error.strerror}") from error
+        raise locator.error((), f"cannot be read: {error.strerror}") from error
     if len(raw) > MAX_FILE_SIZE:
-        raise refused(f"longer than {MAX_FILE_SIZE} bytes")
+        raise locator.error((), f"longer than {MAX_FILE_SIZE} bytes")
     try:
         return raw.decode()
     except UnicodeDecodeError as error:
-        raise refused("not a text in UTF-8", raw[: error.start].count(b"\n") + 1) from error
+        line = raw[: error.start].count(b"\n") + 1
+        raise CaseError(str(path), [Fault("", "not a text in UTF-8", line)]) from error
 
 
-def sections_of(
-    text: str, source: str, directory: Path, settings: Sequence[str]
-) -> tuple[CaseSections, Locator]:
-    """The sections of a case file's text and the locator of its keys; raises CaseError with every fault."""
-    overridden = []
+def sections_of(text: str, source: str, directory: Path, settings: Sequence[str]) -> Locator:
+    """The locator with the sections of a case file's text; raises CaseError with every fault."""
+    locator, overridden = Locator({}, source=source), []
     try:
         data = tomllib.loads(text)
     except ValueError as error:  # also for a number of thousands of digits
-        raise CaseError(source, [Fault("", f"not TOML: {error}")]) from error
+        raise locator.error((), f"not TOML: {error}") from error
     except RecursionError as error:
-        raise CaseError(source, [Fault("", "not TOML: too deeply nested")]) from error
+        raise locator.error((), "not TOML: too deeply nested") from error
     for setting in settings:
         try:
             path, value = toml.parse_override(setting)
             toml.override(data, path, value)
         except ValueError as error:
-            raise CaseError(source, [Fault("--set", str(error))]) from error
+            raise locator.error(("--set",), error) from error
         overridden.append(path)
-    locator = Locator(toml.key_lines(text), overridden)
+    locator = Locator(toml.key_lines(text), overridden, source, data)
     try:
         converter = Converter(data.get("units"), directory)
-        locator.data, locator.converted = data, converter.converted
+        locator.converted = converter.converted
         if converter.faults:
             raise CaseError(source, [locator.fault(*fault) for fault in converter.faults])
         if converter.scales:  # the schema refuses the remaining keys
             kept = {name: u for name, u in data["units"].items() if name not in SI or not isinstance(u, str)}
             data = data | {"units": kept}
-        sections = CaseSections.model_validate(data, context=converter)
+        locator.sections = CaseSections.model_validate(data, context=converter)
     except ValidationError as error:
         raise CaseError(source, faults_of(error, CaseSections, locator)) from error
     except RecursionError as error:
-        raise CaseError(source, [Fault("", "too deeply nested")]) from error
-    if out := numbers_out_of_range(sections, locator):
-        raise CaseError(source, out)
+        raise locator.error((), "too deeply nested") from error
+    if faults := numbers_out_of_range(locator):
+        raise CaseError(source, faults)
     units = [name for name in ("length", "time") if name in converter.scales]
     if units and "velocity" not in converter.scales and (keys := plain_velocities(locator.data)):
         units_in = " and ".join(f"{name} in {locator.data['units'][name]}" for name in units)
@@ -80,7 +76,7 @@ def sections_of(
             f"[units] has {units_in}, and plain velocities are in m/s: {', '.join(keys)}; units.velocity"
         )
         warnings.warn(f"{message} changes their unit", InputWarning, stacklevel=3)
-    return sections, locator
+    return locator
 
 
 def plain_velocities(data: Any) -> list[str]:

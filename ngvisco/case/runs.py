@@ -23,7 +23,7 @@ from ngsolve import CoefficientFunction, Mesh
 
 from ngvisco.case.build import Case, parse_case
 from ngvisco.case.directory import RunDirectory, RunDirectoryError
-from ngvisco.case.faults import CaseError, in_case
+from ngvisco.case.faults import in_case
 from ngvisco.errors import CheckpointError, StepError
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import distributed
@@ -222,7 +222,7 @@ def _mesh_of_first(case: Case, ranks: Communicator, make: Callable[[], Mesh]) ->
     """The distributed mesh, made by the first rank; its error is raised on every rank."""
     meshes: list[Mesh] = []
     ranks.on_first(lambda: meshes.append(make()))
-    with case.blame.located("domain"):
+    with case.locator.located("domain"):
         return distributed(meshes[0] if meshes else None, ranks)
 
 
@@ -251,7 +251,7 @@ def changed(place: RunDirectory, case: Case, settings: Sequence[str]) -> Case:
             )
             where = tuple(key.split("."))
             set_there = [path for path in new.locator.overridden if path[: len(where)] == where]
-            raise CaseError(case.source, [new.locator.fault((set_there or [where])[0], message)])
+            raise new.locator.error((set_there or [where])[0], message)
     return new
 
 

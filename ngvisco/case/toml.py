@@ -3,6 +3,7 @@
 import json
 import re
 import tomllib
+from collections.abc import Mapping
 from typing import Any
 
 _KEY = r"""(?:[A-Za-z0-9_-]+|"[^"\n]*"|'[^'\n]*')"""
@@ -51,7 +52,7 @@ def _split(path: str) -> tuple[str, ...]:
     return tuple(part.strip("\"'") for part in re.findall(_KEY, path))
 
 
-def line_of(lines: dict[tuple[str, ...], int], path: tuple[str, ...]) -> int | None:
+def line_of(lines: Mapping[tuple[str, ...], int], path: tuple[str, ...]) -> int | None:
     """The line of a key, or of the nearest table around it."""
     for length in range(len(path), 0, -1):
         if path[:length] in lines:
