@@ -255,10 +255,10 @@ class Case:
         if vtk.enabled:
             times = self.output_times(self.until if until is None else until)
             every = None if vtk.interval else vtk.every
-            chosen.append(VTKSeries(out / "vtk", every, vtk.fields, vtk.subdivision, times))
+            chosen.append(VTKSeries(out / "vtk", **parameters(vtk) | {"every": every}, times=times))
         chosen += samples(self.sections, out).values()
         attributes = {"case": self.hash}
-        chosen.append(Checkpoints(out / "run.h5", checkpoint.every, checkpoint.keep, attributes))
+        chosen.append(Checkpoints(out / "run.h5", **parameters(checkpoint), attributes=attributes))
         return chosen
 
     def _check_output(self, run: Simulation) -> None:
@@ -334,11 +334,11 @@ def samples(case: CaseSections, run: Path) -> dict[tuple[str, ...], Series]:
     if (c := output.contours) is not None:
         series["output", "contours"] = Contours(run / "contours", **parameters(c))
     for i, p in enumerate(output.probes):
-        series["output", "probes", str(i)] = Probes({p.name: p.point}, p.fields, file(p.name), p.every)
+        series["output", "probes", str(i)] = Probes({p.name: p.point}, **parameters(p), path=file(p.name))
     for i, e in enumerate(output.lines):
         series["output", "lines", str(i)] = LineSamples(**parameters(e), path=file(e.name))
     if (f := output.forces) is not None:
         series["output", "forces"] = WallForces(**parameters(f), path=file("forces"))
     for i, s in enumerate(output.integrals):
-        series["output", "integrals", str(i)] = Integrals({s.name: s.of}, file(s.name), s.every)
+        series["output", "integrals", str(i)] = Integrals({s.name: s.of}, file(s.name), **parameters(s))
     return series

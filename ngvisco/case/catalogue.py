@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 
 import ngvisco.geometries as geometries
 from ngvisco.case.laws import custom_material, isotropic_strain_energy
-from ngvisco.case.python import KIND, python_material
+from ngvisco.case.python import python_material
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.start.initial import Initial
 from ngvisco.physics import activation, diffusion, flow_rules, heat, loads, materials, rheology, walls
@@ -22,36 +22,34 @@ from ngvisco.solver.options import NewtonOptions
 Kinds: TypeAlias = Mapping[str, Callable[..., Any]]
 
 
-def _of(module: ModuleType, names: str) -> dict[str, Any]:
-    """Classes or functions of a module by their names."""
-    return {name: getattr(module, name) for name in names.split()}
+def _of(module: ModuleType, names: str, **others: Any) -> dict[str, Any]:
+    """Classes or functions of a module by their names, and others, in alphabetical order."""
+    return dict(sorted({**{name: getattr(module, name) for name in names.split()}, **others}.items()))
 
 
-GEOMETRIES: Kinds = {
-    **_of(geometries, "annulus bar block_with_hole box channel cylinder disc"),
-    "file": geometries.load,
-    **_of(geometries, "half_disc sphere spherical_shell structured_box"),
-}
-MATERIALS: Kinds = {
-    "BarotropicFluid": materials.BarotropicFluid,
-    "Custom": custom_material,
-    "FENEP": materials.FENEP,
-    "Gas": materials.Thermal,
-    "Gent": materials.Gent,
-    "HardeningElastic": materials.HardeningElastic,
-    "IsentropicFluid": materials.BarotropicFluid.from_state_equation,
-    "IsochoricNeoHookean": materials.IsochoricNeoHookean,
-    "IsotropicStrainEnergy": isotropic_strain_energy,
-    **_of(materials, "LinearElastic LogarithmicMooneyRivlin LogarithmicNeoHookean MooneyRivlin NeoHookean"),
-    **_of(materials, "Ogden OldroydB"),
-    KIND: python_material,
-    **_of(materials, "ReferentialMooneyRivlin ReferentialNeoHookean"),
-}
+GEOMETRIES: Kinds = _of(
+    geometries,
+    "annulus bar block_with_hole box channel cylinder disc half_disc sphere spherical_shell structured_box",
+    file=geometries.load,
+)
+MATERIALS: Kinds = _of(
+    materials,
+    "BarotropicFluid FENEP Gent HardeningElastic IsochoricNeoHookean LinearElastic LogarithmicMooneyRivlin "
+    "LogarithmicNeoHookean MooneyRivlin NeoHookean Ogden OldroydB ReferentialMooneyRivlin "
+    "ReferentialNeoHookean",
+    Custom=custom_material,
+    Gas=materials.Thermal,
+    IsentropicFluid=materials.BarotropicFluid.from_state_equation,
+    IsotropicStrainEnergy=isotropic_strain_energy,
+    Python=python_material,
+)
 WRAPPERS: Kinds = {
     "PerReferentialVolume": materials.PerReferentialVolume,
     "Network": materials.Network,
     "Prony": materials.prony_network,
-    **_of(materials, "Damaged Yosida WithQuadratic"),
+    "Damaged": materials.Damaged,
+    "Yosida": materials.Yosida,
+    "WithQuadratic": materials.WithQuadratic,
 }
 """Materials that wrap another material, [material.material], or several, [material.branches.NAME.material]. A
 wrapper may wrap the materials above and the wrappers before it."""
@@ -67,15 +65,14 @@ FLOW_RULES: Kinds = {
 }
 """Kinds of [rheology.creep]; the first is the default."""
 FLOW_RULE_WRAPPERS: Kinds = {
-    **_of(activation, "Activated WLF"),
+    "Activated": activation.Activated,
+    "WLF": activation.WLF,
     "Composite": flow_rules.Composite,
 }
 """Flow rules that wrap other rules: the rules above and the wrappers before."""
 VISCOSITIES: Kinds = {
     "StokesViscosity": rheology.StokesViscosity,
-    **_of(rheology, "Carreau Cross"),
-    "LinearViscosity": rheology.LinearViscosity,
-    "PowerLaw": rheology.PowerLaw,
+    **_of(rheology, "Carreau Cross LinearViscosity PowerLaw"),
 }
 """Kinds of [rheology.viscosity]; the first is the default."""
 VISCOSITY_WRAPPERS: Kinds = _of(activation, "ActivatedViscosity")
@@ -86,13 +83,7 @@ WALLS: Kinds = _of(
     walls, "Inflow NavierFriction NoSlip Open PrescribedNormal PrescribedTangential Slip Traction"
 )
 """Kinds of [walls.NAME]; a wall without a table is Slip."""
-SHAPES: Kinds = {
-    **_of(shape, "Ball Block"),
-    "ClosedSurface": ClosedSurface,
-    "HalfSpace": shape.HalfSpace,
-    "Image": Image,
-    **_of(shape, "Polygon Subdomain"),
-}
+SHAPES: Kinds = _of(shape, "Ball Block HalfSpace Polygon Subdomain", ClosedSurface=ClosedSurface, Image=Image)
 """Kinds of shapes for bodies' initial places, besides conditions on x, y, z."""
 SECTIONS: Kinds = {
     "discretisation": Discretisation,

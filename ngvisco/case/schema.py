@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Discriminator, Field, Tag, create_model, model_validator
 
 from ngvisco.case import catalogue
-from ngvisco.case.section import Section, laws, parameters, section, tagged
+from ngvisco.case.section import Section, check_once, laws, parameters, section, tagged
 from ngvisco.case.values import REGION
 from ngvisco.errors import ParameterError, Quantity
 from ngvisco.physics.bodies import Body, StartPlace
@@ -24,8 +24,10 @@ from ngvisco.physics.materials import Branch, Thermal
 from ngvisco.physics.model import require_names_and_one_rest, require_names_of_loads
 from ngvisco.physics.rheology import Viscosity
 from ngvisco.run.body_tables import Bodies
+from ngvisco.run.checkpoint import Checkpoints
 from ngvisco.run.contours import Contours
-from ngvisco.run.probes import LineSamples, WallForces
+from ngvisco.run.observers import VTKSeries
+from ngvisco.run.probes import Integrals, LineSamples, Probes, WallForces
 from ngvisco.run.refinement import Refinement
 
 _MAX_OUTPUT_TIMES = 100_000
@@ -156,78 +158,54 @@ BodySection: Any = section(
 )
 
 
-def _check_once(names: list[str]) -> list[str]:
-    if len(set(names)) < len(names):
-        raise ValueError("expected each name once")
-    return names
-
-
 def _check_name(name: str) -> str:
     if not re.fullmatch(r"[A-Za-z0-9_-]{1,60}", name):
         raise ValueError("expected at most 60 letters, digits, _ and -")
     return name
 
 
-Names = Annotated[list[str], Field(min_length=1), AfterValidator(_check_once)]
-"""A selection by name; a key that is left out selects everything."""
-Components = Annotated[Names | None, Quantity(example=["velocity", "F_12"])]
-AtLeastOne = Annotated[int, Quantity("1", ">= 1")]
-_COMPONENTS = "Names of fields or of their components; default as for output.vtk.fields"
-
-
-class VTK(Section):
-    """The VTK series."""
+class _Series(Section):
+    """The keys of the VTK series that say when it is written."""
 
     enabled: bool = Field(True, description="Whether the VTK series is written")
-    every: AtLeastOne = Field(10, description="A file every so many steps")
     interval: Annotated[float | None, Quantity("s", "> 0", 0.1)] = Field(
-        None,
-        description="A file at every multiple of this time instead of every so many steps",
-    )
-    fields: Annotated[Names | None, Quantity(example=["velocity", "density"])] = Field(
-        None,
-        description="Names of fields; default all but creep_rate, mandel_stress, viscous_stress, "
-        "hyperstress_1 (to 3), principal_stresses, principal_stretches",
-    )
-    subdivision: Annotated[int, Quantity("1", "from 0 to 4")] = Field(
-        0, description="Bisections of cells in the files; each piece has linear fields"
+        None, description="A file at every multiple of this time instead of every so many steps"
     )
 
 
-class Checkpoint(Section):
-    """Checkpoints in run.h5."""
+VTK: Any = section(
+    VTKSeries, base=_Series, without=("directory", "times"), defaults={"every": 10}, is_whole=False
+)
+Checkpoint = section(Checkpoints, without=("path", "attributes"), is_whole=False)
 
-    every: AtLeastOne = Field(10, description="A checkpoint every so many steps, and at the end")
-    keep: AtLeastOne = Field(2, description="Number of checkpoints in run.h5")
 
+class _Named(Section):
+    """The keys of one of several tables over time."""
 
-class NamedTable(Section):
-    """One of several tables over time."""
-
-    every: AtLeastOne = Field(1, description="A row every so many steps, and at the end")
     name: Annotated[str, AfterValidator(_check_name), Quantity(example="middle")] = Field(
         description="Letters, digits, _ and -; the file is samples/NAME.csv"
     )
 
 
-class Probe(NamedTable):
-    """A table of fields at a point over time."""
+class _AtPoint(_Named):
+    """The keys of a table of fields at a point."""
 
     point: Annotated[list[float], Quantity("m", example=[0.5, 0.5])] = Field(
         description="The point, a coordinate for each dimension"
     )
-    fields: Components = Field(None, description=_COMPONENTS)
 
 
-class DomainIntegral(NamedTable):
-    """A table over time of the integral of an expression of the fields over the domain."""
+class _OfExpression(_Named):
+    """The keys of a table of the integral of an expression of the fields."""
 
     of: Annotated[str, Quantity(example="density*velocity_1")] = Field(
         description="An expression of x, y, z, t and fields' components"
     )
 
 
-Line: Any = section(LineSamples, base=NamedTable, without=("path",), defaults={"every": 10})
+Probe: Any = section(Probes, base=_AtPoint, without=("points", "path"), is_whole=False)
+DomainIntegral: Any = section(Integrals, base=_OfExpression, without=("integrands", "path"), is_whole=False)
+Line: Any = section(LineSamples, base=_Named, without=("path",), defaults={"every": 10})
 Forces = section(WallForces, without=("path",))
 BodyTable = section(Bodies, without=("path",))
 Contour = section(Contours, without=("directory",), defaults={"every": 10})
@@ -252,8 +230,10 @@ class Output(Section):
     contours: Contour | None = Field(
         None, description="Lines of fraction 1/2 over time, in contours/: contours.csv, and .vtu for ParaView"
     )
-    log_every: AtLeastOne = Field(1, description="A line in log.txt every so many steps")
-    passive: Annotated[list[str], AfterValidator(_check_once), Quantity(example=["reference_map"])] = Field(
+    log_every: Annotated[int, Quantity("1", ">= 1")] = Field(
+        1, description="A line in log.txt every so many steps"
+    )
+    passive: Annotated[list[str], AfterValidator(check_once), Quantity(example=["reference_map"])] = Field(
         [], description="Further fields to carry along: F_tot, reference_map, creep_strain"
     )
 

@@ -16,10 +16,12 @@ from typing import Annotated, Any, ClassVar, Literal, Union, get_args, get_origi
 from ngsolve import CoefficientFunction
 from numpy.typing import ArrayLike
 from pydantic import (
+    AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
     Discriminator,
+    Field,
     ValidationInfo,
     create_model,
     field_validator,
@@ -82,6 +84,13 @@ class Section(BaseModel):
         return made
 
 
+def check_once(names: list[str]) -> list[str]:
+    """The names; raises ValueError if one is there twice."""
+    if len(set(names)) < len(names):
+        raise ValueError("expected each name once")
+    return names
+
+
 _TYPES: dict[Any, Any] = {
     **{plain: plain for plain in (float, int, bool, str, EnergyText)},
     ArrayLike: Annotated[Any, NUMBERS],
@@ -92,6 +101,8 @@ _TYPES: dict[Any, Any] = {
     CoefficientFunction: Annotated[Any, ROWS],
     Mapping[str, CoefficientFunction]: dict[str, Annotated[Any, TENSOR]],
     Mapping[str, float]: dict[str, float],
+    # a selection by name; a key that is left out selects everything
+    Sequence[str] | None: Annotated[list[str], Field(min_length=1), AfterValidator(check_once)] | None,
 }
 """The schema's types by the type hints of parameters."""
 
@@ -143,9 +154,10 @@ def section(
     if tag is not None:
         fields[tag[0]] = (Literal[tag[1]], tag[1] if is_default else ...)
     for name, parameter in inspect.signature(target).parameters.items():
+        if name in without:
+            continue
         hint, default = hints.get(name), defaults.get(name, parameter.default)
-        annotation = None if name in without else _annotation(hint, types)
-        if annotation is None:
+        if (annotation := _annotation(hint, types)) is None:
             if default is inspect.Parameter.empty:
                 raise TypeError(f"{target.__qualname__}.{name}: a case file cannot give a {hint}")
             continue

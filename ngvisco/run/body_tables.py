@@ -16,7 +16,7 @@ from ngvisco.physics.tensors import inner, sym
 from ngvisco.run.files import AnyPath
 from ngvisco.run.frames import Lattice, places
 from ngvisco.run.outlines import Cut, Moments, distance
-from ngvisco.run.series import Series
+from ngvisco.run.series import Every, Series
 from ngvisco.words import Mention
 
 if TYPE_CHECKING:
@@ -238,7 +238,7 @@ class Bodies(Series):
     def __init__(
         self,
         path: AnyPath | None = None,
-        every: int = 1,
+        every: Every = 1,
         measures: Annotated[Sequence[Measure], Quantity(example=["deformation", "gap"])] = (),
     ) -> None:
         super().__init__(path, every)

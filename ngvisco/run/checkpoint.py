@@ -34,15 +34,15 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import h5py
 import numpy as np
 
-from ngvisco.errors import require_count, require_file
+from ngvisco.errors import Quantity, require_count, require_file
 from ngvisco.run.files import AnyPath, write_atomically
 from ngvisco.run.ledger import Ledger, unit
-from ngvisco.run.series import Series
+from ngvisco.run.series import Every, Series
 from ngvisco.run.snapshot import (
     CHECKSUM,
     CLOSURES,
@@ -76,15 +76,19 @@ class Checkpoints:
     path : path
         The file, e.g. ``results/run.h5``.
     every : int
-        Steps between checkpoints.
+        A checkpoint every so many steps, and at the end.
     keep : int
-        Number of latest checkpoints that the file keeps.
+        Number of checkpoints that the file keeps.
     attributes : mapping, optional
         Further attributes of the file, e.g. the hash of a case.
     """
 
     def __init__(
-        self, path: AnyPath, every: int = 10, keep: int = 2, attributes: Mapping[str, str] | None = None
+        self,
+        path: AnyPath,
+        every: Every = 10,
+        keep: Annotated[int, Quantity("1", ">= 1")] = 2,
+        attributes: Mapping[str, str] | None = None,
     ) -> None:
         require_count("Checkpoints", every=every, keep=keep)
         self.path = require_file("Checkpoints.path", path)

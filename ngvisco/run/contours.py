@@ -11,7 +11,7 @@ from ngvisco.errors import ParameterError, Quantity, UnknownNameError, require_p
 from ngvisco.run.body_tables import FractionSamples, require_bodies
 from ngvisco.run.files import AnyPath
 from ngvisco.run.frames import read_pvd
-from ngvisco.run.series import Series
+from ngvisco.run.series import Every, Series
 from ngvisco.run.vtu import write_lines, write_pvd
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ class Contours(Series):
         self,
         directory: AnyPath | None = None,
         bodies: Annotated[Sequence[str] | None, Quantity(example=["disc"])] = None,
-        every: int = 1,
+        every: Every = 1,
     ) -> None:
         place = None if directory is None else require_path("Contours.directory", directory)
         super().__init__(None if place is None else place / "contours.csv", every)

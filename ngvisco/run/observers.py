@@ -9,12 +9,13 @@ import statistics
 import sys
 import time as clock
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, Annotated, Any, TextIO
 
 from ngvisco.errors import (
+    Declared,
     ParameterError,
+    Quantity,
     UnknownNameError,
-    as_integer,
     as_numbers,
     require_count,
     require_file,
@@ -219,6 +220,10 @@ class LedgerCSV:
         """Do nothing: every row is written by now."""
 
 
+SUBDIVISION = Declared("from 0 to 4", (int,))
+"""Number of bisections of a cell in a file."""
+
+
 class VTKSeries:
     """Writes a series of .vtu files and the .pvd that ParaView opens.
 
@@ -226,7 +231,8 @@ class VTKSeries:
     Mises stress, with labelled components; vectors are padded to three components.  Fractions of bodies, by
     which movies and scenes outline bodies, are always written.  Cells have points of their own, where fields
     may jump; in a series of ``velocity`` alone they share points.  A resumed run drops the state that the
-    interrupted run wrote out of turn when it stopped.
+    interrupted run wrote out of turn when it stopped.  The first and the last state have files too; with
+    ``every=None`` the others are those at ``times``.
     Raises ParameterError if a parameter is out of its range.
 
     Parameters
@@ -234,11 +240,12 @@ class VTKSeries:
     directory : path
         Directory of the files, made if missing.
     every : int
-        Number of steps between states, besides the first and the last state; None: only at ``times``.
+        A file every so many steps.
     fields : sequence of str, optional
-        Names out of ``simulation.fields``; default all but the further fields of ``ngvisco.run.fields``.
+        Names of fields; default all but creep_rate, mandel_stress, viscous_stress, hyperstress_1 (to 3),
+        principal_stresses, principal_stretches.
     subdivision : int
-        Number of bisections of every cell for output (fields are linear in the pieces), >= 0.
+        Bisections of cells in the files; each piece has linear fields.
     times : sequence of float
         Further times at which to write, s; pass them as ``stops`` to ``Simulation.run`` too.
     """
@@ -246,21 +253,19 @@ class VTKSeries:
     def __init__(
         self,
         directory: AnyPath,
-        every: int | None = 1,
-        fields: Sequence[str] | None = None,
-        subdivision: int = 0,
+        every: Annotated[int | None, Quantity("1", ">= 1")] = 1,
+        fields: Annotated[Sequence[str] | None, Quantity(example=["velocity", "density"])] = None,
+        subdivision: Annotated[int, Quantity("1", SUBDIVISION.range)] = 0,
         times: Sequence[float] = (),
     ) -> None:
         if every is not None:
             require_count("VTKSeries", every=every)
-        if as_integer(subdivision) is None or subdivision < 0:
-            raise ParameterError("VTKSeries.subdivision", subdivision, "an integer >= 0")
         self.directory, self.every = require_path("VTKSeries.directory", directory), every
         if self.directory.exists() and not self.directory.is_dir():
             raise ParameterError("VTKSeries.directory", str(directory), "a directory; this is a file")
         self.times = as_numbers("VTKSeries.times", times, "a sequence of finite numbers, s")
         self.names = None if fields is None else require_some_names("VTKSeries.fields", fields)
-        self.subdivision = int(subdivision)
+        self.subdivision = SUBDIVISION.taken("VTKSeries.subdivision", subdivision)
         self.written: list[tuple[float, str]] = []
 
     def start(self, simulation: Simulation) -> None:

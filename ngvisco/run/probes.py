@@ -14,7 +14,7 @@ from ngvisco.forms.mesh.locating import Located, as_points
 from ngvisco.forms.reactions import WallReactions
 from ngvisco.run.fields import component_fields, components
 from ngvisco.run.files import AnyPath
-from ngvisco.run.series import Series
+from ngvisco.run.series import Every, Series
 
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
@@ -28,20 +28,20 @@ class Probes(Series):
     points : mapping of names to points, or a sequence of points (named ``p1``, ``p2``, ...)
         Coordinates in m; their number is the mesh's dimension.
     fields : sequence of str, optional
-        Names out of ``simulation.fields``, or of components such as ``velocity_1``, ``F_12``; default all
-        but the further fields of ``ngvisco.run.fields``.  A vector or tensor gives all its components.
+        Names of fields or of their components; default those of a VTK series.
 
     The parameters ``path`` and ``every`` are those of ``Series``.
-    The columns are ``step``, ``time`` (s), and ``NAME.FIELD`` in the fields' SI units.
+    The columns are ``step``, ``time`` (s), and ``NAME.FIELD`` in the fields' SI units; a vector or tensor
+    gives all its components.
     A run raises ParameterError for a point outside the domain, UnknownNameError for an unknown field.
     """
 
     def __init__(
         self,
         points: Mapping[str, Sequence[float]] | Sequence[Sequence[float]],
-        fields: Sequence[str] | None = None,
+        fields: Annotated[Sequence[str] | None, Quantity(example=["velocity", "F_12"])] = None,
         path: AnyPath | None = None,
-        every: int = 1,
+        every: Every = 1,
     ) -> None:
         super().__init__(path, every)
         if not isinstance(points, Mapping):
@@ -94,7 +94,7 @@ class LineSamples(Series):
         points: Annotated[int, Quantity("1", POINTS.range)] = 101,
         fields: Annotated[Sequence[str] | None, Quantity(example=["velocity", "F_12"])] = None,
         path: AnyPath | None = None,
-        every: int = 1,
+        every: Every = 1,
     ) -> None:
         super().__init__(path, every)
         self.points = POINTS.taken("LineSamples.points", points)
@@ -150,7 +150,7 @@ class WallForces(Series):
         walls: Annotated[Sequence[str] | None, Quantity(example=["left"])] = None,
         about: Annotated[Sequence[float] | None, Quantity("m", example=[0.5, 0.5])] = None,
         path: AnyPath | None = None,
-        every: int = 1,
+        every: Every = 1,
     ) -> None:
         super().__init__(path, every)
         self.walls = None if walls is None else require_some_names("WallForces.walls", walls)
@@ -206,7 +206,10 @@ class Integrals(Series):
     """
 
     def __init__(
-        self, integrands: Mapping[str, CoefficientFunction | str], path: AnyPath | None = None, every: int = 1
+        self,
+        integrands: Mapping[str, CoefficientFunction | str],
+        path: AnyPath | None = None,
+        every: Every = 1,
     ) -> None:
         super().__init__(path, every)
         if not isinstance(integrands, Mapping) or not integrands:

@@ -11,15 +11,26 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from ngvisco.errors import CheckpointError, NotANumberError, UnknownNameError, require_count, require_file
+from ngvisco.errors import (
+    CheckpointError,
+    NotANumberError,
+    Quantity,
+    UnknownNameError,
+    require_count,
+    require_file,
+)
 from ngvisco.run.files import AnyPath, append, csv_text, write_atomically
 
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
+
+
+Every = Annotated[int, Quantity("1", ">= 1")]
+"""Number of steps from one row, file or checkpoint to the next."""
 
 
 class Series(ABC):
@@ -36,7 +47,7 @@ class Series(ABC):
     Parameters
     ----------
     every : int
-        Number of steps from one row to the next; the end has a row too.
+        A row every so many steps, and at the end.
 
     Attributes
     ----------
@@ -50,7 +61,7 @@ class Series(ABC):
     group: str | None = None
     """Group of a run's HDF5 file that holds the columns too; None (default) for no group."""
 
-    def __init__(self, path: AnyPath | None = None, every: int = 1) -> None:
+    def __init__(self, path: AnyPath | None = None, every: Every = 1) -> None:
         require_count(type(self).__name__, every=every)
         self.path = None if path is None else require_file(f"{type(self).__name__}.path", path)
         self.every = every

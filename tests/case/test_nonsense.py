@@ -76,7 +76,7 @@ ONE | + [output.vtk]; fields = [] | output.vtk.fields: []: expected at least one
 ONE | + [[output.probes]]; name = "a"; point = [0.5, 0.5]; fields = []
   | output.probes.0.fields: []: expected at least one
 ONE | + [output.forces]; walls = [] | output.forces.walls: []: expected at least one
-ONE | + [output.forces]; walls = ["top", "top"] | output.forces.walls: ['top', 'top']: expected at least
+ONE | + [output.forces]; walls = ["top", "top"] | output.forces.walls: ['top', 'top']: expected each name once
 ONE | LAW -> OWN "det(F) - det(F)" | material.energy: 'det(F) - det(F)': expected an energy that changes
 TWO | LAW_OF_DISC -> kind = "Custom", variables = ["J"], energy = "0*J + 1"
   | bodies.1.material.energy: '0*J + 1': expected an energy that changes with J
