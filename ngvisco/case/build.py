@@ -13,14 +13,14 @@ from typing import Any
 from ngsolve import Mesh
 
 from ngvisco.case import toml
-from ngvisco.case.faults import CaseError, Fault, Locator, refused
+from ngvisco.case.faults import CaseError, Fault, Locator
 from ngvisco.case.reading import sections_of, text_of
 from ngvisco.case.schema import CaseSections
-from ngvisco.case.section import nodes, parameters, sections_in, values_of
+from ngvisco.case.section import nodes, parameters, sections_in, shown, values_of
 from ngvisco.case.units import Converter
 from ngvisco.case.values import LAW, REGION, VECTOR, shape_of
-from ngvisco.errors import ParameterError, UnknownNameError, require_path
-from ngvisco.expressions import ExpressionError, parse, parse_region
+from ngvisco.errors import ParameterError, require_path
+from ngvisco.expressions import parse, parse_region
 from ngvisco.forms.boundary.boundaries import check_boundary_names
 from ngvisco.forms.context import time
 from ngvisco.physics.bodies import Body
@@ -185,14 +185,14 @@ class Case:
             for name, kind in values_of(type(part)).items():
                 place, value = (*path, name), getattr(part, name)
                 if kind is VECTOR and isinstance(value, list) and len(value) != dim:
-                    message = f"{value!r:.60}: expected an array of {dim} components, not {len(value)}"
+                    message = f"{shown(value)}: expected an array of {dim} components, not {len(value)}"
                     raise self.locator.error(place, message)
                 parsed = parse_region if kind is REGION else parse
                 # shapes in place of a region's text are tables of their own
                 texts = [(place, value)] if kind is REGION else list(nodes(value, place))
                 for key, text in texts if dim == 2 and kind is not LAW else ():
                     if isinstance(text, str) and "z" in parsed(text).names:
-                        message = f"{text!r:.60}: there is no z in a mesh of two dimensions"
+                        message = f"{shown(text)}: there is no z in a mesh of two dimensions"
                         raise self.locator.error(key, message)
 
     def _body(self, number: int, body: Any) -> Body:
@@ -234,7 +234,10 @@ class Case:
         if self.refinement is not None:
             with self.locator.located("domain", "adapt"):
                 self.refinement.check(run)
-        self._check_output(run)
+        vtk = VTKSeries("vtk", **parameters(sections.output.vtk))
+        for path, series in {("output", "vtk"): vtk, **samples(sections, Path())}.items():
+            with self.locator.located(*path):
+                series.prepare(run)
         return run
 
     def _check_bodies(self, mesh: Mesh) -> None:
@@ -260,26 +263,6 @@ class Case:
         attributes = {"case": self.hash}
         chosen.append(Checkpoints(out / "run.h5", **parameters(checkpoint), attributes=attributes))
         return chosen
-
-    def _check_output(self, run: Simulation) -> None:
-        refuse = self.locator.error
-        for name in self.sections.output.vtk.fields or ():
-            if name not in run.fields:
-                error = UnknownNameError("field", name, run.fields)
-                raise refuse(("output", "vtk", "fields"), error)
-        for path, series in samples(self.sections, Path()).items():
-            try:
-                series.prepare(run)
-            except ParameterError as error:
-                key = error.field.partition(".")[2].partition("[")[0]
-                renamed = {("probes", "points"): "point", ("integrals", "integrands"): "of"}
-                key = renamed.get((path[1], key), key)
-                raise refuse((*path, key), refused(error.value, error)) from error
-            except UnknownNameError as error:
-                key = {"wall": "walls", "body": "bodies"}.get(error.kind, "fields")
-                raise refuse((*path, key), error) from error
-            except ExpressionError as error:
-                raise refuse((*path, "of"), error) from error
 
 
 def _built(table: Any, names: Iterable[str]) -> dict[str, Any]:

@@ -1,26 +1,8 @@
 """A run directory: all files that are needed to understand, resume and read a run.
 
-| file          | holds                                                                     |
-|---------------|---------------------------------------------------------------------------|
-| case.toml     | the resolved case, with every default written out                         |
-| versions.json | versions, commit, machine, the mesh file's hash                           |
-| mesh.vol      | the mesh; every run uses the mesh read back from this file                |
-| ledger.csv    | the energy ledger, a row a step                                           |
-| run.h5        | ledger and checkpoints (ngvisco.run.checkpoint)                           |
-| vtk/          | the VTK series                                                            |
-| shapes/       | the files of bodies' shapes, under their content's hashes                  |
-| bodies.csv    | mass, centroid, energies, ... of each body, a row a step                   |
-| contours/     | outlines of bodies, as CSV and for ParaView                                |
-| samples/      | probes, lines, forces on walls, integrals over the domain, as CSV         |
-| log.txt       | a dated log of the run                                                    |
-| failed.txt    | for a run that failed at a step: place, reason and remedy; after a failed |
-|               | first step only this file and failed.vtu stay                             |
-| failed.vtu    | the refused solution of this step, else the last state (ranks: .pvtu)     |
-| lock          | exists while a process runs; the system releases it even after a kill     |
-
-The whole case is built before the directory is touched, so that a refused case leaves nothing behind and
-removes nothing.  case.toml, versions.json and mesh.vol are complete before the first step. A resumed run
-reads these files, never the user's case.
+``CASES.md`` lists the files.  The whole case is built before the directory is touched, so that a refused case
+leaves nothing behind and removes nothing.  case.toml, versions.json and mesh.vol are complete before the
+first step. A resumed run reads these files, never the user's case.
 """
 
 import contextlib

@@ -11,10 +11,20 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
 from ngvisco.case.schema import CaseSections
-from ngvisco.case.section import TAGS, Section, given, models_in, owner_of, places, reached, sections_in
+from ngvisco.case.section import (
+    TAGS,
+    Section,
+    given,
+    models_in,
+    owner_of,
+    places,
+    reached,
+    sections_in,
+    shown,
+)
 from ngvisco.case.toml import line_of, value_text
 from ngvisco.case.values import Wrong
 from ngvisco.errors import InitialDataError, MeshError, NgviscoError, ParameterError, nearest
@@ -44,7 +54,6 @@ class CaseError(NgviscoError, ValueError):
         return f"{place}: {fault.key}: {fault.message}" if fault.key else f"{place}: {fault.message}"
 
 
-_SHOWN = 60
 _WORDS = {
     "float_type": "expected a number",
     "int_type": "expected a whole number",
@@ -140,10 +149,12 @@ class Locator:
         return key, error
 
     def _shown(self, key: tuple[str, ...], value: object) -> object:
-        """The written value of a key; ``value`` if the key is missing or an array of tables."""
+        """The written value of a key; ``value`` if the key is missing, an array of tables, or has the name."""
         there = given(self.sections, key)
-        is_whole = there is None or (isinstance(there, list) and any(isinstance(p, Section) for p in there))
-        return value if is_whole else self.written(key, there)
+        is_array = isinstance(there, list) and any(
+            part == value or isinstance(part, Section) for part in there
+        )
+        return value if there is None or is_array else self.written(key, there)
 
 
 def faults_of(error: ValidationError, model: type[Section], locator: Locator) -> list[Fault]:
@@ -192,14 +203,6 @@ def _message(fault: Any, raised: object, path: tuple[str, ...], here: str, keys:
         return f"{shown(value)}: expected an array of tables, [[{'.'.join(path)}]]"
     words = _WORDS[kind].format(**context) if kind in _WORDS else fault["msg"].lower()
     return f"{shown(value)}: {words}"
-
-
-def shown(value: object) -> str:
-    """The text of a value for messages; a table is in TOML."""
-    if isinstance(value, BaseModel):
-        value = value.model_dump(exclude_none=True)
-    text = value_text(value) if isinstance(value, (dict, bool)) else repr(value)
-    return text if len(text) <= _SHOWN else text[: _SHOWN - 3] + "..."
 
 
 def refused(value: object, error: ParameterError) -> str:
@@ -291,10 +294,12 @@ def key_of(field: str, path: tuple[str, ...], sections: Any, value: object = Non
 
 
 _ALIASES = {
+    "Integrals.integrands": ("Integrals", "of"),
     "Model": ("rheology",),
     "Model.bodies": ("bodies",),
     "Model.loads": ("loads",),
     "Model.material": ("material",),
+    "Probes.points": ("Probes", "point"),
     "Simulation": ("time",),
     "Simulation.symmetry": ("domain", "symmetry"),
     "until": ("time", "until"),

@@ -1,14 +1,7 @@
 """Laws that a case file gives as texts: energies, laws of the temperature, and materials made of them.
 
-A text is an expression of ``ngvisco.expressions``, of scalars and 3x3 tensors, and is evaluated by this
-package, never by Python.  An expression may contain
-
-* numbers, the variables' names, the parameters' names, ``pi`` and the identity ``I``; not x, y, z or t;
-* entries of a tensor, ``F[0, 1]`` with indices 0, 1, 2;
-* ``+ -`` of two scalars or two tensors, ``*`` (of two tensors the matrix product), ``/`` by a scalar, and
-  ``**`` of a scalar with a number;
-* ``tr det norm2 dot`` (of tensors: norm2(A) is A : A, dot(A, B) is A : B), ``cof inv trans sym dev sph``;
-* ``exp log sqrt abs sinh cosh tanh min max`` of scalars, ``a if condition else b`` and ``where``.
+A text is an expression of ``ngvisco.expressions``, of scalars and 3x3 tensors (``reference.md`` lists its parts),
+and is evaluated by this package, never by Python.
 """
 
 import ast

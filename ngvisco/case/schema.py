@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Discriminator, Field, Tag, create_model, model_validator
 
 from ngvisco.case import catalogue
-from ngvisco.case.section import Section, check_once, laws, parameters, section, tagged
+from ngvisco.case.section import Section, check_once, choice, parameters, section
 from ngvisco.case.values import REGION
 from ngvisco.errors import ParameterError, Quantity
 from ngvisco.physics.bodies import Body, StartPlace
@@ -72,7 +72,9 @@ class Heated(Section):
             raise ParameterError(key, error.value, error.expected) from error
 
 
-CreepSection = laws(FlowRule, catalogue.FLOW_RULES, catalogue.FLOW_RULE_WRAPPERS)
+CreepSection = choice(
+    catalogue.FLOW_RULES, has_default=True, law=FlowRule, wrappers=catalogue.FLOW_RULE_WRAPPERS
+)
 
 
 def _branches(material: Any) -> dict[Any, Any]:
@@ -81,20 +83,19 @@ def _branches(material: Any) -> dict[Any, Any]:
     return {Mapping[str, Branch]: dict[str, branch]}
 
 
-Domain = tagged("geometry", catalogue.GEOMETRIES, Meshed)
-MaterialSection = laws(
-    Material,
+Domain = choice(catalogue.GEOMETRIES, "geometry", base=Meshed)
+MaterialSection = choice(
     catalogue.MATERIALS,
-    catalogue.WRAPPERS,
-    has_default=False,
     base=Heated,
+    law=Material,
+    wrappers=catalogue.WRAPPERS,
     of=_branches,
     without={"Gas": ("expansion",)},
 )
-LoadSection = tagged("kind", catalogue.LOADS)
-WallSection = tagged("kind", catalogue.WALLS)
-ShapeSection = tagged("kind", catalogue.SHAPES)
-ViscositySection = laws(Viscosity, catalogue.VISCOSITIES, catalogue.VISCOSITY_WRAPPERS)
+LoadSection, WallSection, ShapeSection = map(choice, (catalogue.LOADS, catalogue.WALLS, catalogue.SHAPES))
+ViscositySection = choice(
+    catalogue.VISCOSITIES, has_default=True, law=Viscosity, wrappers=catalogue.VISCOSITY_WRAPPERS
+)
 _MECHANISMS: dict[str, Any] = {"viscosity": ViscositySection}
 _MECHANISMS |= {name: section(target) for name, target in catalogue.MECHANISMS.items()} | {
     "creep": CreepSection

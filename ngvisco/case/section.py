@@ -29,6 +29,7 @@ from pydantic import (
 )
 
 from ngvisco.case.laws import EnergyText
+from ngvisco.case.toml import value_text
 from ngvisco.case.values import LAW, MODULUS, NUMBERS, PLAIN, ROWS, SCALAR, TENSOR, VECTOR, Kind
 from ngvisco.errors import Declared, Quantity, UnknownNameError
 from ngvisco.physics.diffusion import WallExchange
@@ -289,6 +290,17 @@ def _parts(annotation: Any) -> Iterator[Any]:
         yield from _parts(part)
 
 
+def shown(value: object) -> str:
+    """The text of a value for messages; a table is in TOML."""
+    if isinstance(value, Section):
+        value = value.model_dump(exclude_none=True)
+    text = value_text(value) if isinstance(value, (dict, bool)) else repr(value)
+    return text if len(text) <= _SHOWN else text[: _SHOWN - 3] + "..."
+
+
+_SHOWN = 60
+
+
 @functools.cache
 def values_of(model: type[Section]) -> dict[str, Kind]:
     """Keys of a section whose values are neither numbers nor texts, with the kind of each value."""
@@ -321,44 +333,35 @@ _TYPES |= {described: section(described) for described in (AdaptiveSteps, WallHe
 _TYPES[Mapping[str, WallExchange]] = dict[str, section(WallExchange)]  # type: ignore[misc]
 
 
-def tagged(key: str, table: Mapping[str, Any], base: type[Section] = Section) -> Any:
-    """A section of a table, chosen by the value of ``key``; every section also has the keys of ``base``."""
-    return _choice(key, [section(target, (key, name), base=base) for name, target in table.items()])
-
-
-def laws(
-    law: type,
+def choice(
     table: Mapping[str, Any],
-    wrappers: Mapping[str, Any],
-    has_default: bool = True,
+    key: str = "kind",
+    *,
     base: type[Section] = Section,
-    of: Callable[[Any], Mapping[Any, Any]] = lambda choice: {},
+    has_default: bool = False,
+    law: type = object,
+    wrappers: Mapping[str, Any] = MappingProxyType({}),
+    of: Callable[[Any], Mapping[Any, Any]] = lambda held: {},
     without: Mapping[str, Collection[str]] = MappingProxyType({}),
 ) -> Any:
-    """The choice by ``kind`` among the laws of a class and the wrappers. A wrapper may wrap all laws before
-    it.
+    """The choice by the value of ``key`` among the sections of a table, which also have the keys of ``base``.
 
-    All sections have the keys of ``base``; parameters in ``without`` are no keys.  ``of`` gives the types of
-    a wrapper's parameters that hold laws.  If ``has_default``, the first law needs no ``kind``.
+    If it ``has_default``, the first section needs no ``key``.  ``wrappers`` are kinds of which each may hold
+    a ``law`` of all kinds before it; ``of`` gives the types of further parameters that hold such laws.
+    Parameters in ``without`` are no keys.
     """
     first = next(iter(table)) if has_default else None
 
-    def with_kind(value: Any) -> Any:
-        return {"kind": first, **value} if isinstance(value, dict) else value
+    def with_key(value: Any) -> Any:
+        return {key: first, **value} if isinstance(value, dict) else value
 
-    def choice() -> Any:
-        union = _choice("kind", models)
-        return union if first is None else Annotated[union, BeforeValidator(with_kind)]
+    def union() -> Any:
+        whole: Any = Annotated[functools.reduce(operator.or_, models), Discriminator(key)]
+        return whole if first is None else Annotated[whole, BeforeValidator(with_key)]
 
-    models = [
-        section(target, ("kind", name), is_default=name == first, base=base, without=without.get(name, ()))
-        for name, target in table.items()
-    ]
-    for name, target in wrappers.items():
-        held = choice()
-        models.append(section(target, ("kind", name), {law: held, **of(held)}, base=base))
-    return choice()
-
-
-def _choice(key: str, models: list[type[Section]]) -> Any:
-    return Annotated[functools.reduce(operator.or_, models), Discriminator(key)]
+    models: list[type[Section]] = []
+    for name, target in {**table, **wrappers}.items():
+        held = union() if name in wrappers else None
+        types = {} if held is None else {law: held, **of(held)}
+        models.append(section(target, (key, name), types, name == first, base, without=without.get(name, ())))
+    return union()

@@ -135,7 +135,7 @@ def value_text(value: Any) -> str:
     if isinstance(value, (list, tuple)):
         return f"[{', '.join(value_text(v) for v in value)}]"
     if isinstance(value, dict):
-        return f"{{ {', '.join(f'{_key(k)} = {value_text(v)}' for k, v in value.items())} }}"
+        return f"{{ {', '.join(f'{_key(k)} = {value_text(v)}' for k, v in value.items() if v is not None)} }}"
     return _text(str(value))
 
 

@@ -1,11 +1,6 @@
 """Units of a case file, which pint converts to SI units before validation.
 
-A case gives units in two ways, which may be mixed.  ``[units]`` has the units of plain numbers: ``length =
-"km"`` holds for all lengths and for x, y, z in expressions, ``time = "kyr"`` for all times and for t.
-A quantity that ``[units]`` does not name is in SI units; no unit is derived from others (with km and kyr a
-velocity is still in m/s, unless ``velocity`` is given).  Any number may also be a text with its own unit,
-``dt = "10 yr"``, ``g = [0, "-9.81 m/s^2"]``.  An energy given as an expression of the material's variables
-is in the unit of ``pressure``, and is converted as a whole; an energy per mass is in J/kg.
+A number may have its own unit, and ``[units]`` has the units of plain numbers (``CASES.md``).
 """
 
 import ast
@@ -18,7 +13,7 @@ from typing import Any
 
 from ngvisco.case.laws import EnergyText
 from ngvisco.case.schema import Units
-from ngvisco.case.section import Section, given, models_in, quantity, reached, values_of
+from ngvisco.case.section import Section, given, models_in, quantity, reached, shown, values_of
 from ngvisco.case.values import NUMBERS, PLAIN, Kind, Wrong, is_table
 from ngvisco.errors import ParameterError
 from ngvisco.expressions import ExpressionError, parse, parse_region
@@ -129,12 +124,12 @@ class Converter:
                 kind = values_of(model).get(name, PLAIN)
                 in_si = self._entry(self._of_files(value, kind), model, name, data)
             except ParameterError as error:
-                result[name] = Wrong(f"{error.value!r:.60}: expected {error.expected}")
+                result[name] = Wrong(f"{shown(error.value)}: expected {error.expected}")
                 continue
             except UnitError as error:
                 key = error.key or name  # an exponent of the unit may be at fault
                 if key == name or not isinstance(data.get(key), (list, dict)):  # the schema refuses others
-                    result[key] = Wrong(f"{data.get(key)!r:.60}: {error}")
+                    result[key] = Wrong(f"{shown(data[key]) if key in data else 'is missing'}: {error}")
                 continue
             if in_si is not value and in_si != value:
                 self.converted.append((name, value))

@@ -53,7 +53,7 @@ class WallReactions:
         self.names = list(walls) if names is None else list(names)
         for name in self.names:
             if name not in walls:
-                raise UnknownNameError("wall", name, walls)
+                raise UnknownNameError("wall", name, walls, "WallForces.walls")
         self.motions = rigid_motions(step.layout.symmetry, step.mesh.dim, about)
         space = step.layout.blocks["v"]
         interpolated, interpolate = GridFunction(space), Interpolation(space)

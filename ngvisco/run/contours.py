@@ -57,7 +57,7 @@ class Contours(Series):
         numbers = {body.name: number for number, body in enumerate(bodies, start=1)}
         for name in self.bodies or ():
             if name not in numbers:
-                raise UnknownNameError("body", name, numbers)
+                raise UnknownNameError("body", name, numbers, "Contours.bodies")
         chosen = self.bodies or [body.name for body in bodies if body.where is not None]
         self._numbers = {name: numbers[name] for name in chosen}
         self._fractions = FractionSamples(simulation, chosen)

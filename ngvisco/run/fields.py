@@ -140,11 +140,11 @@ def components(fields: Mapping[str, CoefficientFunction]) -> dict[str, Coefficie
 
 
 def component_fields(
-    fields: Mapping[str, CoefficientFunction], names: Sequence[str] | None = None
+    fields: Mapping[str, CoefficientFunction], names: Sequence[str] | None = None, key: str = ""
 ) -> dict[str, CoefficientFunction]:
     """Components of the named fields, and named single components; default the usual fields.
 
-    Raises UnknownNameError for a name of neither a field nor a component.
+    Raises UnknownNameError, with the ``key`` of the names, for a name of neither a field nor a component.
     """
     every = components(fields)
     chosen: dict[str, CoefficientFunction] = {}
@@ -154,7 +154,7 @@ def component_fields(
         elif name in every:
             chosen[name] = every[name]
         else:
-            raise UnknownNameError("field", name, [*fields, *every])
+            raise UnknownNameError("field", name, [*fields, *every], key)
     return chosen
 
 

@@ -268,11 +268,15 @@ class VTKSeries:
         self.subdivision = SUBDIVISION.taken("VTKSeries.subdivision", subdivision)
         self.written: list[tuple[float, str]] = []
 
-    def start(self, simulation: Simulation) -> None:
-        available = simulation.fields
+    def prepare(self, simulation: Simulation) -> None:
+        """Raise UnknownNameError for the name of a field that the simulation does not have."""
         for name in self.names or ():
-            if name not in available:
-                raise UnknownNameError("field", name, available)
+            if name not in simulation.fields:
+                raise UnknownNameError("field", name, simulation.fields, "VTKSeries.fields")
+
+    def start(self, simulation: Simulation) -> None:
+        self.prepare(simulation)
+        available = simulation.fields
         names = with_outlines(self.names or list(usual(available)), available)
         self._fields = {name: available[name] for name in names}
         self.directory.mkdir(parents=True, exist_ok=True)

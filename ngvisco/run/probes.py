@@ -9,7 +9,7 @@ import numpy as np
 from ngsolve import CF, CoefficientFunction
 
 from ngvisco.errors import Declared, ParameterError, Quantity, require_collection, require_some_names
-from ngvisco.expressions import parse
+from ngvisco.expressions import ExpressionError, parse
 from ngvisco.forms.mesh.locating import Located, as_points
 from ngvisco.forms.reactions import WallReactions
 from ngvisco.run.fields import component_fields, components
@@ -55,7 +55,7 @@ class Probes(Series):
         mesh, named = simulation.mesh, {f"Probes.points[{name!r}]": p for name, p in self.points.items()}
         at = np.array([_one_point(name, point, mesh.dim) for name, point in named.items()])
         self._at = Located(mesh, at, list(named))
-        self._values, columns = _stacked(simulation, self.fields)
+        self._values, columns = _stacked(self, simulation)
         return [f"{name}.{column}" for name in self.points for column in columns]
 
     def _sample(self, simulation: Simulation) -> Any:
@@ -112,7 +112,7 @@ class LineSamples(Series):
         names = ["LineSamples.start", *["LineSamples.end"] * (self.points - 1)]
         self._at = Located(mesh, where, names)
         self._place = np.hstack([share * length, where])
-        self._values, columns = _stacked(simulation, self.fields)
+        self._values, columns = _stacked(self, simulation)
         return ["s", *"xyz"[: mesh.dim], *columns]
 
     def _said(self, column: str, row: list[float]) -> str:
@@ -224,12 +224,15 @@ class Integrals(Series):
 
     def prepare(self, simulation: Simulation) -> list[str]:
         fields = components(simulation.fields)
-        self._integrand = CF(
-            tuple(
-                parse(value, tuple(fields)).coefficient(fields) if isinstance(value, str) else value
-                for value in self.integrands.values()
-            )
-        )
+
+        def integrand(name: str, value: Any) -> CoefficientFunction:
+            try:
+                return parse(value, tuple(fields)).coefficient(fields) if isinstance(value, str) else value
+            except ExpressionError as error:
+                error.key = f"Integrals.integrands[{name!r}]"
+                raise
+
+        self._integrand = CF(tuple(integrand(name, value) for name, value in self.integrands.items()))
         for name, value in zip(self.integrands, self._totals(simulation), strict=True):
             if not np.isfinite(value):
                 expected = f"an integrand that is finite; at t = {simulation.t:g} s its integral is {value}"
@@ -255,6 +258,6 @@ def _chosen(owner: str, fields: Sequence[str] | None) -> list[str] | None:
     return None if fields is None else require_some_names(f"{owner}.fields", fields)
 
 
-def _stacked(simulation: Simulation, names: Sequence[str] | None) -> tuple[CoefficientFunction, list[str]]:
-    chosen = component_fields(simulation.fields, names)
+def _stacked(series: Probes | LineSamples, simulation: Simulation) -> tuple[CoefficientFunction, list[str]]:
+    chosen = component_fields(simulation.fields, series.fields, f"{type(series).__name__}.fields")
     return CF(tuple(chosen.values())), list(chosen)
