@@ -234,8 +234,9 @@ class Case:
         if self.refinement is not None:
             with self.locator.located("domain", "adapt"):
                 self.refinement.check(run)
-        vtk = VTKSeries("vtk", **parameters(sections.output.vtk))
-        for path, series in {("output", "vtk"): vtk, **samples(sections, Path())}.items():
+        files: dict[tuple[str, ...], Any] = dict(samples(sections, Path()))
+        files["output", "vtk"] = VTKSeries(Path(), **parameters(sections.output.vtk))
+        for path, series in files.items():
             with self.locator.located(*path):
                 series.prepare(run)
         return run

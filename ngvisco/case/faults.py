@@ -149,12 +149,13 @@ class Locator:
         return key, error
 
     def _shown(self, key: tuple[str, ...], value: object) -> object:
-        """The written value of a key; ``value`` if the key is missing, an array of tables, or has the name."""
+        """The written value of a key; ``value`` if the key is missing, has tables, or has it as a member."""
         there = given(self.sections, key)
-        is_array = isinstance(there, list) and any(
-            part == value or isinstance(part, Section) for part in there
-        )
-        return value if there is None or is_array else self.written(key, there)
+        members = there if isinstance(there, list) else []
+        is_member = isinstance(value, str) and value in members
+        if there is None or is_member or any(isinstance(part, Section) for part in members):
+            return value
+        return self.written(key, there)
 
 
 def faults_of(error: ValidationError, model: type[Section], locator: Locator) -> list[Fault]:

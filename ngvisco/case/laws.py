@@ -1,7 +1,7 @@
 """Laws that a case file gives as texts: energies, laws of the temperature, and materials made of them.
 
-A text is an expression of ``ngvisco.expressions``, of scalars and 3x3 tensors (``reference.md`` lists its parts),
-and is evaluated by this package, never by Python.
+A text is an expression of ``ngvisco.expressions``, of scalars and 3x3 tensors, and is evaluated by this
+package, never by Python.  ``reference.md`` lists its parts.
 """
 
 import ast
