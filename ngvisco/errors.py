@@ -217,8 +217,8 @@ class Declared(NamedTuple):
     def expected(self) -> Words:
         """Admitted values in words, for messages."""
         kinds = [kind for kind in self.kinds if kind in (int, float)] or self.kinds
-        first, *others = (_words(kind, self.range) for kind in kinds if kind is not NoneType)
-        return Words(first, *(part for words in others for part in (" or ", words)))
+        words = [_words(kind, self.range) for kind in kinds if kind is not NoneType]
+        return Words(*[part for each in words for part in (" or ", each)][1:])
 
     def number(self, value: object) -> float | None:
         """The value as a Python number; None if it is no number in the range."""
@@ -290,9 +290,6 @@ def _count(parts: tuple[Any, ...]) -> int | None:
     return None if len(parts) == 1 or parts[-1] is Ellipsis else len(parts)
 
 
-_TRUTH = Words(True, " or ", False)
-
-
 def _words(kind: Any, range: str) -> str:
     """A type and the range of its numbers, for messages."""
     container, parts = get_origin(kind), get_args(kind)
@@ -310,7 +307,7 @@ def _words(kind: Any, range: str) -> str:
         whole, is_open = "whole " * (kind is int), range == "" or range.startswith(">")
         return f"a {'finite ' * (is_open and not whole)}{whole}number {range}".rstrip()
     if kind in (bool, str):
-        return _TRUTH if kind is bool else "a text"
+        return Words(True, " or ", False) if kind is bool else "a text"
     return f"a{'n' * (kind.__name__[0] in 'AEIOU')} {kind.__name__}"
 
 
@@ -394,7 +391,7 @@ def require_type(field: str, value: object, kind: type) -> None:
     """Raise ParameterError unless the value is a ``kind``."""
     if not isinstance(value, kind):
         name = f"a {kind.__module__.split('.')[0]}.{kind.__name__}"
-        raise ParameterError(field, value, _TRUTH if kind is bool else name)
+        raise ParameterError(field, value, _words(bool, "") if kind is bool else name)
 
 
 def require_path(field: str, value: object) -> Path:

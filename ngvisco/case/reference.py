@@ -31,7 +31,7 @@ from ngvisco.case.section import (
     places,
     quantity,
 )
-from ngvisco.case.values import Kind
+from ngvisco.case.values import ValueKind
 from ngvisco.errors import ParameterError
 from ngvisco.run import fields as output
 from ngvisco.run import passive
@@ -151,7 +151,7 @@ def type_text(annotation: Any) -> str:
     }
     origin, arguments = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
-        kinds = [part.words for part in arguments if isinstance(part, Kind)]
+        kinds = [part.words for part in arguments if isinstance(part, ValueKind)]
         return kinds[0] if kinds else type_text(arguments[0])
     if annotation in plain:
         return plain[annotation]

@@ -30,7 +30,7 @@ from pydantic import (
 
 from ngvisco.case.laws import EnergyText
 from ngvisco.case.toml import value_text
-from ngvisco.case.values import LAW, MODULUS, NUMBERS, PLAIN, ROWS, SCALAR, TENSOR, VECTOR, Kind
+from ngvisco.case.values import LAW, MODULUS, NUMBERS, PLAIN, ROWS, SCALAR, TENSOR, VECTOR, ValueKind
 from ngvisco.errors import Declared, Quantity, UnknownNameError
 from ngvisco.physics.diffusion import WallExchange
 from ngvisco.physics.heat import Conductivity, WallHeat
@@ -302,11 +302,11 @@ _SHOWN = 60
 
 
 @functools.cache
-def values_of(model: type[Section]) -> dict[str, Kind]:
+def values_of(model: type[Section]) -> dict[str, ValueKind]:
     """Keys of a section whose values are neither numbers nor texts, with the kind of each value."""
     fields = model.model_fields.items()
     parts = ((name, part) for name, field in fields for part in _parts(field.rebuild_annotation()))
-    return {name: part for name, part in parts if isinstance(part, Kind)}
+    return {name: part for name, part in parts if isinstance(part, ValueKind)}
 
 
 def parameters(part: Section) -> dict[str, Any]:

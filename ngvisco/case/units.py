@@ -14,7 +14,7 @@ from typing import Any
 from ngvisco.case.laws import EnergyText
 from ngvisco.case.schema import Units
 from ngvisco.case.section import Section, given, models_in, quantity, reached, shown, values_of
-from ngvisco.case.values import NUMBERS, PLAIN, Kind, Wrong, is_table
+from ngvisco.case.values import NUMBERS, PLAIN, ValueKind, Wrong, is_table
 from ngvisco.errors import ParameterError
 from ngvisco.expressions import ExpressionError, parse, parse_region
 from ngvisco.physics.materials import read_prony
@@ -163,7 +163,7 @@ class Converter:
             return value
         return self._value(value, _with_exponents(unit, model, data), is_function)
 
-    def _of_files(self, value: Any, kind: Kind) -> Any:
+    def _of_files(self, value: Any, kind: ValueKind) -> Any:
         """A value in which tables of time, ``{ file = "load.csv" }``, are replaced by their numbers."""
         if kind.is_field and isinstance(value, list):
             return [self._of_files(part, kind) for part in value]

@@ -1,6 +1,6 @@
 """Kinds of values in case files: functions of place and time, moduli, regions, arrays.
 
-A ``Kind`` annotates a key's type with a check, a description in words, and a JSON Schema.
+A ``ValueKind`` annotates a key's type with a check, a description in words, and a JSON Schema.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ from ngvisco.shapes.shape import Union, Where
 
 
 @dataclass(frozen=True, eq=False)
-class Kind:
+class ValueKind:
     """A kind of values.
 
     Attributes
@@ -151,13 +151,13 @@ def _of_text(text: str) -> CoefficientFunction:
     return parse(text).coefficient()
 
 
-def _field(words: str, check: Callable[[Any], Any], json: dict[str, Any]) -> Kind:
+def _field(words: str, check: Callable[[Any], Any], json: dict[str, Any]) -> ValueKind:
     def made(value: Any) -> Any:
         if isinstance(value, dict) and not is_table(value):
             return {name: as_function(part) for name, part in value.items()}
         return value if isinstance(value, (int, float)) else as_function(value)
 
-    return Kind(words, check, json, made=made, is_field=True)
+    return ValueKind(words, check, json, made=made, is_field=True)
 
 
 _EXPRESSION = "number or expression"
@@ -174,22 +174,22 @@ TENSOR = _field(
     lambda value: (_rows if isinstance(value, list) else _scalar)(value),
     _ARRAY,
 )
-NUMBERS = Kind("array of numbers", _numbers, {"type": "array", "items": {}})
+NUMBERS = ValueKind("array of numbers", _numbers, {"type": "array", "items": {}})
 """Arrays of finite numbers, or of such arrays."""
-MODULUS = Kind(
+MODULUS = ValueKind(
     _EXPRESSION, _modulus, _TEXT, made=lambda v: parse(v).coefficient() if isinstance(v, str) else v
 )
 """A modulus: a number, or a function of the initial place, which the matter then carries."""
-LAW = Kind(
+LAW = ValueKind(
     "number, expression of theta, or three rows of three numbers",
     _law,
     _ARRAY,
     made=lambda value: parse_law(value) if isinstance(value, str) else value,
 )
 """A function of the temperature theta, K."""
-REGION = Kind("condition", _region, {"type": "string"}, made=shape_of)
+REGION = ValueKind("condition", _region, {"type": "string"}, made=shape_of)
 """A condition on x, y, z."""
-PLAIN = Kind("", lambda value: value, {})
+PLAIN = ValueKind("", lambda value: value, {})
 """Numbers, texts and tables, which are what they say."""
 
 

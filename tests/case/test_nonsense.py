@@ -70,7 +70,7 @@ ONE | + [rheology.creep]; G_m = inf | rheology.creep.G_m: inf: expected a finite
 ONE | g = [0, -1] -> g = [[0, -1]] | loads.0.g: [[0, -1]]: expected an array of its components
 ONE | g = [0, -1] -> g = [[0], [-1]] | loads.0.g: [[0], [-1]]: expected an array of its components
 ONE | density = 1 -> density = [[1]] | initial.density: [[1]]: expected a number, or an expression
-ONE | + [output]; passive = ["creep_strain"] | output.passive: ['creep_strain']: expected a model with creep
+ONE | + [output]; passive = ["creep_strain"] | output.passive: 'creep_strain': expected a model with creep
 ONE | + [output.bodies]; every = 2 | output.bodies: { every = 2 }: expected no such table
 ONE | + [output.vtk]; fields = [] | output.vtk.fields: []: expected at least one
 ONE | + [[output.probes]]; name = "a"; point = [0.5, 0.5]; fields = []
