@@ -19,6 +19,11 @@ ROOT = Path(__file__).resolve().parents[1]
 SIGNS = "tests/forms/test_signs_of_terms.py::"
 MOMENTUM = "tests/run/test_momentum_columns.py::"
 OUTLINES = "tests/sensitivity/test_outline_slopes.py::test_slopes_are_limits_of_differences"
+SHARP = "tests/forms/test_sharpening.py::"
+COLUMNS = "tests/sensitivity/test_ledger_columns.py::"
+ADJOINT = "tests/sensitivity/test_adjoint.py::"
+BODIES = "tests/sensitivity/test_body_slopes.py::"
+WEAR = "tests/solver/test_wear.py::"
 GOING_ON = "tests/sensitivity/test_restart.py::test_an_interrupted_gradient_goes_on_as_if_it_had_not_been"
 
 
@@ -566,6 +571,204 @@ MUTANTS = [
             "if self.simulation.stop_requested:",
             "if False:",
             "tests/sensitivity/test_restart.py::test_a_stop_without_a_folder_gives_no_truncated_gradient",
+        ),
+    ),
+    *_of(
+        "forms/sharpening.py",
+        (
+            "defect of a flux between two bodies",
+            "behind * (out[i] + out[j]) - out[i]",
+            "behind * (out[i] + out[j]) - 0.9 * out[i]",
+            SHARP + "test_a_strip_goes_where_it_is_carried",
+        ),
+        (
+            "arc of a corner's path",
+            "back = path - 0.5 * np.einsum",
+            "back = path + 0.5 * np.einsum",
+            SHARP + "test_corners_are_followed_along_the_arcs_of_a_turn",
+        ),
+        (
+            "tensors that an amount takes with it",
+            "((X, share * whole[X, at]) for X in contents)",
+            "((X, 0.5 * share * whole[X, at]) for X in contents)",
+            SHARP + "test_no_cell_gives_more_of_a_body_than_it_has",
+        ),
+        (
+            "bound of what a cell gives",
+            "amount = np.minimum(amount, wanted * share[source])",
+            "amount = np.minimum(amount, wanted)",
+            SHARP + "test_no_cell_gives_more_of_a_body_than_it_has",
+        ),
+        (
+            "second exchange between cells",
+            "_PASSES = 2\n",
+            "_PASSES = 1\n",
+            SHARP + "test_no_cell_gives_more_of_a_body_than_it_has",
+        ),
+        (
+            "filling of negative amounts",
+            "np.maximum(-amounts[i], 0.0)",
+            "0 * np.maximum(-amounts[i], 0.0)",
+            SHARP + "test_no_cell_gives_more_of_a_body_than_it_has",
+        ),
+        (
+            "deviation from an even mixture",
+            "amounts - (means / means.sum(axis=0))[:, :, None] * amounts.sum(axis=0)",
+            "amounts",
+            SHARP + "test_fractions_of_three_bodies_in_a_cell_are_bounded",
+        ),
+        (
+            "step advised for an interface",
+            "longest = 0.9 * FAR / self.swept * self._tau",
+            "longest = 0.9 * self.swept / FAR * self._tau",
+            SHARP + "test_steps_that_carry_an_interface_too_far_are_named_once",
+        ),
+        (
+            "share of a stage's flux of a body",
+            "flux += share * np.take_along_axis",
+            "flux += np.take_along_axis",
+            SHARP + "test_stages_carry_their_shares_of_the_step",
+        ),
+        (
+            "share of a stage's velocity at corners",
+            "self._velocity += share * np.asarray",
+            "self._velocity += 0.9 * share * np.asarray",
+            SHARP + "test_steps_that_carry_an_interface_too_far_are_named_once",
+        ),
+        (
+            "size of slopes in a cell with an interface",
+            "slope *= self.dim + 2",
+            "slope *= 1",
+            SHARP + "test_a_corner_of_a_cell_with_an_interface_contains_one_body",
+        ),
+    ),
+    *_of(
+        "sensitivity/wall_rows.py",
+        (
+            "impulse of walls at a combined end",
+            "(self.ends, momentum.impulses.velocities)",
+            "(self.ends, momentum.impulses.held_velocities)",
+            COLUMNS + "test_impulses_of_walls_have_adjoints",
+        ),
+        (
+            "slope of a moving wall's power by its velocity",
+            "result += self.of_velocity(of_columns, rows.FV().NumPy())",
+            "result += 0 * self.of_velocity(of_columns, rows.FV().NumPy())",
+            ADJOINT + "test_the_power_of_a_moving_wall_has_a_derivative_by_its_velocity",
+        ),
+    ),
+    *_of(
+        "sensitivity/adjoint.py",
+        (
+            "impulse of a moving wall at a combined end",
+            "loads[-1] += rows.of_velocity(weights, impulse)",
+            "loads[-1] -= rows.of_velocity(weights, impulse)",
+            ADJOINT + "test_the_power_of_a_moving_wall_has_a_derivative_by_its_velocity",
+        ),
+        (
+            "rows of walls in a combined end",
+            "whole @ state - (adjoints - c) @ rows",
+            "whole @ state - adjoints @ rows",
+            ADJOINT + "test_the_power_of_a_moving_wall_has_a_derivative_by_its_velocity",
+        ),
+        (
+            "rows of walls in the momentum of starts",
+            "starts.momentum_transposed(solutions[k], adjoints - c)",
+            "starts.momentum_transposed(solutions[k], adjoints)",
+            COLUMNS + "test_impulses_of_walls_have_adjoints",
+        ),
+        (
+            "slopes of walls' rows at a combined end",
+            "for slope in whole + of_rows])",
+            "for slope in whole])",
+            COLUMNS + "test_impulses_of_walls_have_adjoints",
+        ),
+        (
+            "velocity of walls at a limited end",
+            "loads[-1] += np.where(is_v & ~self.free, combined, 0.0)",
+            "loads[-1] += np.where(is_v & ~self.free, 0.0, 0.0)",
+            "tests/sensitivity/test_frozen.py::test_ends_that_the_limiter_has_changed_have_equal_tangents_and_adjoints",
+        ),
+        (
+            "slope of a distance by its second state",
+            "result[i] += weight * np.outer(values, by_b)",
+            "result[i] -= weight * np.outer(values, by_b)",
+            COLUMNS + "test_products_of_tangent_and_adjoint_are_equal",
+        ),
+    ),
+    *_of(
+        "solver/split/wear.py",
+        (
+            "directions of a new tangent",
+            "max(directions - self._first, 0)",
+            "directions",
+            WEAR + "test_a_new_tangent_that_spares_no_direction_is_not_formed",
+        ),
+        (
+            "first count of directions",
+            "self._first = self._first or directions",
+            "self._first = directions",
+            WEAR + "test_directions_grow_until_they_are_worth_a_renewal",
+        ),
+        (
+            "cost of a renewal",
+            "return self._beyond > self.cost",
+            "return self._beyond > 2 * self.cost",
+            WEAR + "test_directions_grow_until_they_are_worth_a_renewal",
+        ),
+    ),
+    *_of(
+        "sensitivity/columns.py",
+        (
+            "length of a step in sums",
+            "np.where(self.is_of_steps, tau * means, means)",
+            "means",
+            COLUMNS + "test_values_are_those_of_the_run",
+        ),
+    ),
+    *_of(
+        "sensitivity/slopes.py",
+        (
+            "slope of a norm",
+            "of_square() / (2 * size)",
+            "of_square() / size",
+            COLUMNS + "test_derivatives_are_limits_of_central_differences",
+        ),
+        (
+            "time at which the slope of a field is read",
+            "if not kept or not is_linear:",
+            "if not kept:",
+            ADJOINT + "test_a_probe_of_a_field_that_is_carried_otherwise_has_the_slope_of_each_time",
+        ),
+    ),
+    *_of(
+        "sensitivity/body_slopes.py",
+        (
+            "change of a body's centre in its torque",
+            "return of_torque() - c_i * force[j] - c[i] * F_j + c_j * force[i] + c[j] * F_i",
+            "return of_torque() - c[i] * F_j + c[j] * F_i",
+            BODIES + "test_products_of_tangent_and_adjoint_are_equal",
+        ),
+        (
+            "change of a body's volume in its mean",
+            "(of_integral() - total / size * of_volume()) / size",
+            "of_integral() / size",
+            BODIES + "test_products_of_tangent_and_adjoint_are_equal",
+        ),
+        (
+            "counts of a body's rows",
+            "rows / np.maximum(counts, 1)",
+            "rows",
+            BODIES + "test_products_of_tangent_and_adjoint_are_equal",
+        ),
+    ),
+    *_of(
+        "sensitivity/follower.py",
+        (
+            "limiter's change of an end",
+            "(old + recorded.change)[ranges[name]]",
+            "old[ranges[name]]",
+            "tests/sensitivity/test_frozen.py::test_ends_that_the_limiter_has_changed_have_equal_tangents_and_adjoints",
         ),
     ),
 ]

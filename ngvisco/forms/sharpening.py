@@ -151,8 +151,7 @@ class Sharpening:
         self._flux, self._velocity = np.zeros((len(self._amounts), *shape[:2])), np.zeros(shape)
 
     def stage(self, weights: np.ndarray, share: float) -> None:
-        """Add the amounts that a stage, the present state, carries through facets, with the scheme's weight
-        ``share``."""
+        """Add the amounts that the present state of a stage carries through facets, times ``share``."""
         self._velocity += share * np.asarray(self.step.now.v(self._corners)).reshape(self._x.shape)
         for flux, form in zip(self._flux, self._outflows, strict=True):
             out = form.Assemble().vec.FV().NumPy().reshape(self._sides.shape)
@@ -245,9 +244,7 @@ class Sharpening:
         height, on, out = self._behind(self._start, i), self._on, tau * self._flux
         cut = np.flatnonzero(np.ptp(height, axis=1) > 0)
         height, path, slopes = height[cut], tau * self._velocity[cut], self._slopes[cut]
-        turning = np.einsum("kcd,kce->kde", path, slopes)
-        back = path - 0.5 * np.einsum("kde,kce->kcd", turning, path)  # the path is an arc
-        before = height - np.einsum("kcd,ked,ke->kc", back, slopes, height)
+        before = _before(height, path, slopes)
         prism = [[height[:, on[:, n:]], before[:, on[:, : n + 1]]] for n in range(self.dim)]
         shares = np.stack([_share(np.concatenate(part, axis=2)) for part in prism], axis=2)
         sizes = np.maximum(-np.einsum("kond,kod->kon", path[:, on], slopes), 0)
@@ -287,10 +284,8 @@ class Sharpening:
         self, u: np.ndarray, one: tuple[int, np.ndarray], two: tuple[int, np.ndarray], wanted: np.ndarray
     ) -> np.ndarray:
         """Exchange ``wanted`` amounts of a body, given by the cells of ``one``, for equal amounts of another
-        body from the cells of ``two``, in place and as far as the cells have these amounts; return the
-        exchanged amounts. If matter fills up a negative amount of a cell, the cell's own X/n goes in
-        exchange.
-        """
+        body from the cells of ``two``, in place and as far as the cells have these amounts; return what was
+        exchanged. For matter that fills up a negative amount a cell gives its own X/n."""
         start, amount, count = self._means(u) * self._mass, wanted, len(self._mass)
         least = _ROUNDING * start[self._amounts].sum(axis=0)
         for body, source in (one, two):
@@ -320,7 +315,7 @@ class Sharpening:
         doubled = (np.column_stack([height, height[:, c]]) for c in range(self.dim + 1))
         slope = np.stack([_share(heights) for heights in doubled], axis=1)
         slope -= (slope * self._masses[chosen]).sum(axis=1, keepdims=True) / self._mass[chosen, None]
-        slope *= self.dim + 2
+        slope *= self.dim + 2  # of the projection; at most 0.6 of this slope is in [0, 1]
         both = means[self._amounts][[i, j]][:, chosen].sum(axis=0)
         deviation = np.zeros((len(self._amounts), *slope.shape))  # traces of other bodies have none
         deviation[i], deviation[j] = both[:, None] * slope, -both[:, None] * slope
@@ -436,6 +431,17 @@ def _share(values: np.ndarray) -> np.ndarray:
     differences = values[..., :, None] - values[..., None, :] + np.eye(count)
     share = (np.maximum(values, 0.0) ** (count - 1) / differences.prod(axis=-1)).sum(axis=-1)
     return np.where(most[..., 0], 1 - share, share)
+
+
+def _before(heights: np.ndarray, path: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """Values of linear functions, (cells, corners), where matter at the corners was before the step.
+
+    ``heights`` are their values at corners, ``path`` the velocity there times the step, (cells, corners,
+    dim). The error of a rigid turn by the angle phi is of order phi^3.
+    """
+    turning = np.einsum("kcd,kce->kde", path, slopes)
+    back = path - 0.5 * np.einsum("kde,kce->kcd", turning, path)  # the path is an arc
+    return np.asarray(heights - np.einsum("kcd,ked,ke->kc", back, slopes, heights))
 
 
 def _numbers(space: FESpace) -> np.ndarray:

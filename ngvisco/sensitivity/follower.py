@@ -103,14 +103,15 @@ class Follower:
         """State at a combined end with a given velocity, and the momentum equation's residual there.
 
         ``states`` are y_0, y_1, ..., and ``last`` is the last stage's solution.  ``v`` are coefficients of
-        the velocity; those prescribed by moving walls are replaced.
+        the velocity; those prescribed by moving walls are replaced.  The limiter's change of the run's state
+        is added.
         """
         step, ranges = self.step, self.step.layout.ranges
         step.start_from(list(zip(recorded.weights, states, strict=False)))
         self.state[:] = last
         old, walls = step.state_old.vec.FV().NumPy(), self.state[ranges["v"]].copy()
         for name in step.layout.evolving:
-            self.state[ranges[name]] = old[ranges[name]]
+            self.state[ranges[name]] = (old + recorded.change)[ranges[name]]
         fixed = ~self.free_velocity
         self.state[ranges["v"]] = np.where(fixed & recorded.ends_at_stage, walls, v)
         if not recorded.ends_at_stage:

@@ -74,6 +74,15 @@ class RecordedStep:
         return result if self.ends_at_stage else [*result, (-1.0, last + 1, last)]
 
     @property
+    def change(self) -> np.ndarray:
+        """Difference of the end from the sum of the states with ``weights``, (unknowns,).
+
+        For fields that evolve this is the limiter's change.
+        """
+        states = [self.state, *(stage.state for stage in self.stages)]
+        return self.after - sum(w * y for w, y in zip(self.weights, states, strict=True))
+
+    @property
     def ends_at_stage(self) -> bool:
         """Whether the end is the last stage's solution, including the walls' velocities; the limiter's change
         does not count."""

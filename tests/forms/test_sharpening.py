@@ -11,7 +11,7 @@ import ngvisco as nv
 from ngvisco.forms import sharpening
 from ngvisco.forms.bounds import Bounds
 from ngvisco.forms.mesh.quadrature import Sampler
-from ngvisco.forms.sharpening import Sharpening, _share
+from ngvisco.forms.sharpening import Sharpening, _before, _share
 from ngvisco.forms.start.initial import set_initial
 from ngvisco.forms.system import Step
 from ngvisco.geometries import box, structured_box
@@ -96,6 +96,49 @@ def test_shares_of_simplices_above_a_value(rng, dim):
             weighed = (dim + 1) * (above * points[:, c]).mean()
             assert _share(np.append(values, values[c])) == pytest.approx(weighed, abs=1e-2)
     assert _share(np.full((1, dim + 1), 0.3)) == 1 and _share(np.full((1, dim + 1), -0.3)) == 0
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_corners_are_followed_along_the_arcs_of_a_turn(rng, dim):
+    """The error of a turn by phi is phi^3 / 6 of the distance from the axis, not phi^2 / 2 as on a straight
+    path."""
+    phi, corners, slope = 0.1, rng.uniform(-1, 1, (20, dim + 1, dim)), rng.uniform(-1, 1, dim)
+    corners[0] = np.eye(dim + 1, dim)
+    slopes = np.linalg.inv(np.concatenate([corners, np.ones((20, dim + 1, 1))], axis=2))[:, :dim]
+    spin, turn = np.zeros((2, dim, dim))
+    spin[:2, :2] = [[0, -phi], [phi, 0]]
+    turn[:] = np.eye(dim)
+    turn[:2, :2] = [[np.cos(phi), -np.sin(phi)], [np.sin(phi), np.cos(phi)]]
+    before = _before(corners @ slope, corners @ spin.T, np.swapaxes(slopes, 1, 2))
+    assert before == pytest.approx(
+        corners @ turn @ slope, abs=phi**3 / 5 * np.sqrt(2) * np.linalg.norm(slope)
+    )
+
+
+def test_stages_carry_their_shares_of_the_step():
+    """Two stages at one state with the shares 0.3 and 0.7 carry the amounts of one stage with the share 1."""
+    _, bounds = smeared()
+    by = bounds.sharpening
+    flux, velocity = by._flux.copy(), by._velocity.copy()
+    by.begin()
+    for share in (0.3, 0.7):
+        by.stage(np.ones(1), share)
+    assert np.abs(flux).max() > 1e-3 and by._flux == pytest.approx(flux, rel=1e-14)
+    assert by._velocity == pytest.approx(velocity, rel=1e-14)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_corner_of_a_cell_with_an_interface_contains_one_body(dim):
+    """The projected indicator of a part of a simplex leaves [0, 1], whatever the part is, and the factor that
+    brings it back leaves 0 or 1 at one corner."""
+    _, bounds = smeared(mesh=box((1,) * dim, 0.2 if dim == 2 else 0.35))
+    by = bounds.sharpening
+    u = by._values()
+    cells = by._within(u, 1, 0, np.ones(u.shape[1], dtype=bool))
+    amounts = u[by._amounts][:, cells]
+    fractions = amounts / amounts.sum(axis=0)
+    assert len(cells) > 10
+    assert fractions.min(axis=(0, 2)) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_no_cell_gives_more_of_a_body_than_it_has(rng):
