@@ -4,20 +4,6 @@ from ngvisco.case.build import Case, load_case
 from ngvisco.case.directory import RunDirectory, RunDirectoryError
 from ngvisco.case.faults import CaseError, Fault
 from ngvisco.case.runs import Results, load, resume, run
-from ngvisco.expressions import Expression, ExpressionError, parse
 
-__all__ = [
-    "Case",
-    "CaseError",
-    "Expression",
-    "ExpressionError",
-    "Fault",
-    "Results",
-    "RunDirectory",
-    "RunDirectoryError",
-    "load",
-    "load_case",
-    "parse",
-    "resume",
-    "run",
-]
+__all__ = ["Case", "CaseError", "Fault", "Results", "RunDirectory", "RunDirectoryError", "load", "load_case"]
+__all__ += ["resume", "run"]

@@ -16,7 +16,7 @@ from ngvisco.case import toml
 from ngvisco.case.faults import CaseError, Fault, Locator
 from ngvisco.case.reading import sections_of, text_of
 from ngvisco.case.schema import CaseSections
-from ngvisco.case.section import nodes, parameters, sections_in, shown, values_of
+from ngvisco.case.section import built, nodes, parameters, sections_in, shown, values_of
 from ngvisco.case.units import Converter
 from ngvisco.case.values import LAW, REGION, VECTOR, shape_of
 from ngvisco.errors import ParameterError, require_path
@@ -37,7 +37,6 @@ from ngvisco.run.refinement import Refinement
 from ngvisco.run.series import Series
 from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.shapes.fractions import MISSED, volumes
-from ngvisco.shapes.shape import Shape
 
 
 def load_case(path: str | os.PathLike[str], settings: Sequence[str] = ()) -> Case:
@@ -172,7 +171,11 @@ class Case:
         parts = _built(sections.rheology, type(sections.rheology).model_fields)
         parts["loads"] = tuple(load.built for load in sections.loads)
         if sections.bodies:
-            parts["bodies"] = tuple(self._body(i, body) for i, body in enumerate(sections.bodies))
+            bodies: list[Body] = []
+            for i, body in enumerate(sections.bodies):
+                with self.locator.located("bodies", str(i)):
+                    bodies.append(body.built)
+            parts["bodies"] = tuple(bodies)
         else:
             with self.locator.located("material"):
                 parts["material"] = sections.material.built
@@ -194,25 +197,6 @@ class Case:
                     if isinstance(text, str) and "z" in parsed(text).names:
                         message = f"{shown(text)}: there is no z in a mesh of two dimensions"
                         raise self.locator.error(key, message)
-
-    def _body(self, number: int, body: Any) -> Body:
-        self._shapes(number)  # a shape's fault is that of its own key
-        with self.locator.located("bodies", str(number)):
-            made: Body = body.built
-            return made
-
-    def _shapes(self, number: int) -> list[tuple[tuple[str, ...], Shape]]:
-        """Key paths and shapes whose union is a body's place; none for a body without a place."""
-        where: Any = self.sections.bodies[number].where
-        place: tuple[str, ...] = ("bodies", str(number), "where")
-        parts = [] if where is None else [(place, where)]
-        if isinstance(where, list):
-            parts = [((*place, str(i)), part) for i, part in enumerate(where)]
-        shapes = []
-        for path, part in parts:
-            with self.locator.located(*path):
-                shapes.append((path, shape_of(part) if isinstance(part, str) else part.built))
-        return shapes
 
     def simulation(self, mesh: Mesh, observers: Sequence[Observer] = ()) -> Simulation:
         """The simulation at its initial state; raises CaseError for data that the model refuses."""
@@ -244,11 +228,12 @@ class Case:
     def _check_bodies(self, mesh: Mesh) -> None:
         """Raise CaseError for a body without volume in the mesh, or with a place that does not fit it."""
         for i, body in enumerate(self.sections.bodies):
-            volume = 0.0
-            for path, shape in self._shapes(i):
-                with self.locator.located(*path):
-                    volume += volumes(mesh, [shape])[0]
-            with self.locator.located("bodies", str(i), "where"):
+            place, volume = ("bodies", str(i), "where"), 0.0
+            parts = body.where if isinstance(body.where, list) else [body.where]
+            for j, part in enumerate(parts) if body.where is not None else ():
+                with self.locator.located(*place, *([str(j)] if part is not body.where else [])):
+                    volume += volumes(mesh, [shape_of(built(part))])[0]
+            with self.locator.located(*place):
                 if body.where is not None and not volume > 0:
                     raise ParameterError(f"bodies[{body.name!r}].where", body.where, MISSED)
 

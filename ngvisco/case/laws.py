@@ -39,22 +39,14 @@ _IDENTITY = "I"
 _RESERVED = (*CONSTANTS, _IDENTITY)
 """Names that variables and parameters cannot have."""
 
-_VARIABLES: dict[str, Variable] = {
-    "F": Distortion(),
-    "H": Cofactor(),
-    "B": LeftCauchyGreen(),
-    "N": CofactorLeftCauchyGreen(),
-    "J": Jacobian(),
-    "A": ReciprocalJacobian(),
-    "K": LogJacobian(),
-    "E": SmallStrain(),
-}
 _TENSORS: dict[str, type[Variable]] = {
     "F": Distortion,
     "cof(F)": Cofactor,
     "F*trans(F)": LeftCauchyGreen,
     "cof(F*trans(F))": CofactorLeftCauchyGreen,
 }
+_KINDS: tuple[Any, ...] = (*_TENSORS.values(), Jacobian, ReciprocalJacobian, LogJacobian, SmallStrain)
+_VARIABLES: dict[str, Variable] = {variable.name: variable for variable in (kind() for kind in _KINDS)}
 _DEFINED = re.compile(r"([A-Za-z_]\w*)=(?:J\*\*(\([^()]*\)|[+-]?[0-9.]+)\*)?(.+)")
 _VARIABLE = (
     f"one of {', '.join(_VARIABLES)}, or NAME = J**(a)*X with a number a and X one of "

@@ -317,15 +317,15 @@ def parameters(part: Section) -> dict[str, Any]:
     kinds, arguments = values_of(type(part)), inspect.signature(type(part).target).parameters
     values = {name: getattr(part, name) for name in type(part).model_fields if name in arguments}
     given = {name: value for name, value in values.items() if value is not None}
-    return {name: kinds.get(name, PLAIN).made(_built(value)) for name, value in given.items()}
+    return {name: kinds.get(name, PLAIN).made(built(value)) for name, value in given.items()}
 
 
-def _built(value: Any) -> Any:
+def built(value: Any) -> Any:
     """A value with objects in place of sections, also in arrays and tables."""
     if isinstance(value, dict):
-        return {name: _built(part) for name, part in value.items()}
+        return {name: built(part) for name, part in value.items()}
     if isinstance(value, list):
-        return [_built(part) for part in value]
+        return [built(part) for part in value]
     return value.built if isinstance(value, Section) else value
 
 

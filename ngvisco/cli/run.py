@@ -16,7 +16,7 @@ from ngvisco.case.directory import RunDirectory
 from ngvisco.case.runs import changed
 from ngvisco.case.units import SI, Converter, UnitError
 from ngvisco.cli import streams
-from ngvisco.cli.streams import DONE, FAILED, NOT_CLOSED, Stopping
+from ngvisco.cli.streams import DONE, FAILED, NOT_CLOSED, Stopping, stopped
 from ngvisco.errors import ParameterError
 from ngvisco.run.observers import Progress, dissipation_advice, limited_in_words, steps_in_words
 from ngvisco.run.simulation import Observer, Simulation
@@ -150,18 +150,14 @@ def _close(directory: Path, result: Simulation, stop: StopOnSignal) -> int:
         streams.complain(message)
     received = int(result.ranks.most(stop.received))  # the signal may have reached one rank only
     if received:
-        name = signal.Signals(received).name
-        streams.write(
-            f"{name}: stopped after step {result.step_number}, t = {result.t:g} s; a checkpoint is written\n"
-        )
-        streams.write(f"go on with: ngvisco resume {directory}\n")
-        return 128 + received
+        after = f" after step {result.step_number}, t = {result.t:g} s; a checkpoint is written"
+        return stopped(received, f"{after}\ngo on with: ngvisco resume {directory}")
     closure = abs(result.ledger.column("closure_relative")).max()
     streams.write(
         f"finished: t = {result.t:g} s after {steps_in_words(result)}; largest |closure| {closure:.1e}\n"
         "(closure: the residual of a step's energy balance over the energy; rounding is 1e-14)\n"
+        f"results in {directory}\n"
     )
-    streams.write(f"results in {directory}\n")
     return NOT_CLOSED if message else DONE
 
 
@@ -206,9 +202,7 @@ def _close_study(study: Study, outcomes: list[Outcome], received: int) -> int:
     missing = [outcome for outcome in outcomes if not outcome.is_finished]
     streams.write(f"finished: {len(outcomes) - len(missing)} of {len(outcomes)} runs; table {study.table}\n")
     if received:
-        name = signal.Signals(received).name
-        streams.write(f"{name}: stopped, with checkpoints; the same command goes on\n")
-        return 128 + received
+        return stopped(received, ", with checkpoints; the same command goes on")
     for outcome in missing:
         streams.complain(_line(outcome))
     if missing:

@@ -5,7 +5,6 @@ import argparse
 import csv
 import shlex
 import shutil
-import signal
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
@@ -17,7 +16,7 @@ from ngvisco import case as cases
 from ngvisco.case.build import Case, samples
 from ngvisco.case.units import factor, key_and_unit_of
 from ngvisco.cli import streams
-from ngvisco.cli.streams import DONE, Stopping
+from ngvisco.cli.streams import DONE, Stopping, stopped
 from ngvisco.errors import CheckpointError, ParameterError, StopRequested, UnknownNameError, as_number
 from ngvisco.run.simulation import Simulation
 from ngvisco.sensitivity.fit import Fit
@@ -93,8 +92,7 @@ def _stoppable(
         except CheckpointError as error:
             raise CheckpointError(f"{error}; with --force the command begins anew") from error
         except StopRequested:
-            streams.write(f"{signal.Signals(signals.received).name}: stopped; the same command goes on\n")
-            return None, 128 + signals.received
+            return None, stopped(signals.received, "; the same command goes on")
 
 
 def _simulation(options: argparse.Namespace) -> tuple[Case, Simulation]:

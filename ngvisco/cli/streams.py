@@ -65,6 +65,12 @@ def give_up(stream: Any) -> None:
         os.close(nowhere)
 
 
+def stopped(received: int, words: str) -> int:
+    """Say that signal number ``received`` stopped the command; return the exit code."""
+    write(f"{signal.Signals(received).name}: stopped{words}\n")
+    return 128 + received
+
+
 class Stopping:
     """A context in which the first SIGINT or SIGTERM calls ``stop``; a second one ends the process as usual.
 

@@ -23,17 +23,17 @@ if TYPE_CHECKING:
 class Probes(Series):
     """Fields at points that are fixed in space, over time.
 
+    The parameters ``path`` and ``every`` are those of ``Series``.
+    The columns are ``step``, ``time`` (s), and ``NAME.FIELD`` in the fields' SI units; a vector or tensor
+    gives all its components.
+    A run raises ParameterError for a point outside the domain, UnknownNameError for an unknown field.
+
     Parameters
     ----------
     points : mapping of names to points, or a sequence of points (named ``p1``, ``p2``, ...)
         Coordinates in m; their number is the mesh's dimension.
     fields : sequence of str, optional
         Names of fields or of their components; default those of a VTK series.
-
-    The parameters ``path`` and ``every`` are those of ``Series``.
-    The columns are ``step``, ``time`` (s), and ``NAME.FIELD`` in the fields' SI units; a vector or tensor
-    gives all its components.
-    A run raises ParameterError for a point outside the domain, UnknownNameError for an unknown field.
     """
 
     def __init__(
@@ -192,17 +192,17 @@ class WallForces(Series):
 class Integrals(Series):
     """Integrals over the domain, over time.
 
-    Parameters
-    ----------
-    integrands : mapping of names to coefficient functions or expressions
-        An expression is a text as in case files, in ``x``, ``y``, ``z``, ``t`` and the components of the
-        run's fields: ``"density*velocity_1"``, ``"max(J - 1, 0)"``, ``"von_mises*(1 if x < 0.5 else 0)"``.
-
     The parameters ``path`` and ``every`` are those of ``Series``.
     The quadrature is that of the forms and the ledger: the integral of ``"density"`` is the ledger's mass.
     In plane strain integrals are per metre of thickness.
     A run raises ParameterError for an integral that is not finite at its start, and NotANumberError for one
     that is not finite later.
+
+    Parameters
+    ----------
+    integrands : mapping of names to coefficient functions or expressions
+        An expression is a text as in case files, in ``x``, ``y``, ``z``, ``t`` and the components of the
+        run's fields: ``"density*velocity_1"``, ``"max(J - 1, 0)"``, ``"von_mises*(1 if x < 0.5 else 0)"``.
     """
 
     def __init__(
