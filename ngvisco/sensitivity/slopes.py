@@ -130,13 +130,13 @@ class Slopes:
 
         def slope() -> np.ndarray:
             if not kept or not is_linear:
-                kept[:] = [self._differenced(lambda: np.ravel(value(at))[0], cell, variations)]
+                kept[:] = [self._differenced(lambda: np.ravel(value(at))[0], cell, variations, is_linear)]
             return kept[0]
 
         return slope
 
     def _is_linear(self, field: str) -> bool:
-        """Whether a field is linear in the state, so that its slope is constant."""
+        """Whether a field is linear in the evolving unknowns and reads no others: its slope is constant."""
         carried = {
             variable.name
             for variable in self.step.model.material.variables
@@ -181,17 +181,23 @@ class Slopes:
             slopes["J_defect"] = lambda: of_gap()[1]
         return slopes
 
-    def _differenced(self, read: Callable[[], float], cell: int, variations: Variations) -> np.ndarray:
-        """Slope of a function of the coefficients of a cell, by differences."""
+    def _differenced(
+        self, read: Callable[[], float], cell: int, variations: Variations, is_linear: bool = False
+    ) -> np.ndarray:
+        """Slope of a function of the coefficients of a cell, by differences.
+
+        ``is_linear`` is the answer of ``_is_linear``: two values by each evolving coefficient suffice."""
+        order, spacing = (2, 1.0) if is_linear else (4, _SPACING)
+        ranges, evolving = self.step.layout.ranges, self.step.layout.evolving
         dofs = np.array(self.step.layout.space.GetDofNrs(ElementId(VOL, cell)))
         dofs = dofs[dofs >= 0]
         state, result = variations.coefficients, np.zeros(len(self.follower.state))
-        for block in self.step.layout.ranges.values():
+        for block in (ranges[name] for name in ranges if not is_linear or name in evolving):
             dofs_of = dofs[(block.start <= dofs) & (dofs < block.stop)]
-            h = _SPACING * (abs(state[dofs_of]).max(initial=0.0) or 1.0)
+            h = spacing * (abs(state[dofs_of]).max(initial=0.0) or 1.0)
             for dof in dofs_of:
                 kept, values = state[dof], []
-                for offset in OFFSETS[4]:
+                for offset in OFFSETS[order]:
                     state[dof] = kept + offset * h
                     if self.step.energy.projected is not None:
                         self.step.local_unknowns.update_stored()
