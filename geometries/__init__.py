@@ -2,7 +2,7 @@
 
 from ngvisco.geometries.boxes import bar, block_with_hole, box, channel, structured_box
 from ngvisco.geometries.files import load
-from ngvisco.geometries.meshing import refine_walls, split_corner_cells
+from ngvisco.geometries.meshing import refine_corners, refine_walls, split_corner_cells
 from ngvisco.geometries.round import annulus, cylinder, disc, half_disc, sphere, spherical_shell
 
 __all__ = [
@@ -15,6 +15,7 @@ __all__ = [
     "disc",
     "half_disc",
     "load",
+    "refine_corners",
     "refine_walls",
     "sphere",
     "spherical_shell",

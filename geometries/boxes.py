@@ -9,6 +9,7 @@ from ngsolve import Mesh
 from ngsolve.meshes import MakeStructured2DMesh, MakeStructured3DMesh
 
 from ngvisco.errors import ParameterError, Quantity, as_integer, as_number, require_names, require_type
+from ngvisco.geometries import meshing
 from ngvisco.geometries.meshing import (
     CURVE_ORDER,
     MAX_CELLS,
@@ -242,6 +243,7 @@ def structured_box(
     grading: Annotated[Mapping[str, float] | None, Quantity("1", example={"y": 5.0})] = None,
     crossed: bool = False,
     split_corners: bool = False,
+    refine_corners: Annotated[Mapping[str, int] | None, Quantity("1", example={"top": 3})] = None,
 ) -> Mesh:
     """A box [0, size_1] x [0, size_2] (x [0, size_3]) of rows of cells, with the walls of ``box``.
 
@@ -258,6 +260,9 @@ def structured_box(
     crossed : bool
         Whether rectangles have both diagonals, in two dimensions.  With k = 1 and m = 0 triangles with one
         diagonal lock: where K is much larger than G they hardly move at constant volume.
+    refine_corners : mapping of walls to whole numbers >= 0, optional
+        Number of times that cells at the ends of a wall are halved, by the wall's name: at a lid whose
+        velocity jumps there the computed velocity changes over one cell.
     size, periodic, split_corners
         As for ``box``.
 
@@ -300,7 +305,8 @@ def structured_box(
         for number, name in enumerate(mesh.GetBoundaries()):
             mesh.ngmesh.SetBCName(number, _NAMES.get(name, name))
         mesh = Mesh(mesh.ngmesh)
-    return split_corner_cells(mesh) if split_corners else mesh
+    mesh = split_corner_cells(mesh) if split_corners else mesh
+    return meshing.refine_corners(mesh, refine_corners) if refine_corners is not None else mesh
 
 
 def _spacing(axis: str, rows: int, grading: Mapping[str, float] | None) -> Callable[[float], float]:

@@ -261,9 +261,47 @@ def refine_walls(mesh: Mesh, names: Iterable[str], times: int = 1) -> Mesh:
     for name in names:
         if name not in known:
             raise UnknownNameError("boundary", name, known, "refine_walls.names")
+    return _bisected(mesh, number, names)
+
+
+def refine_corners(mesh: Mesh, walls: Mapping[str, int]) -> Mesh:
+    """Bisect the cells at the corners of the named walls, each as many times as ``walls`` says.
+
+    A corner is a vertex at which the wall meets another wall; identified boundaries are no walls.  Where a
+    moving lid meets a wall at rest the velocity along the lid jumps, and a computed one changes over a cell:
+    the lid is too short by as much.  Each bisection halves the cells at the corner.  The mesh is changed in
+    place, curved as before, and returned.
+
+    Raises UnknownNameError for an unknown boundary; ParameterError unless the numbers are integers >= 0.
+    """
+    if not isinstance(walls, Mapping):
+        raise ParameterError("refine_corners.walls", walls, "a mapping of walls to whole numbers >= 0")
+    known = set(mesh.GetBoundaries())
+    for name, times in walls.items():
+        number = as_integer(times)
+        if number is None or number < 0:
+            raise ParameterError(f"refine_corners.walls[{name!r}]", times, "an integer >= 0")
+        if name not in known:
+            raise UnknownNameError("boundary", name, known, "refine_corners.walls")
+        others = _not_identified(mesh) - {name}
+        mesh = _bisected(mesh, number, [name], others)
+    return mesh
+
+
+def _not_identified(mesh: Mesh) -> set[str]:
+    """Names of the boundaries that are not identified with others."""
+    kind = EDGE if mesh.dim == 2 else FACE
+    identified = {int(facet) for pair, _ in mesh.GetPeriodicNodePairs(kind) for facet in pair}
+    walls = ((e.mat, (e.edges if mesh.dim == 2 else e.faces)[0]) for e in mesh.Elements(BND))
+    return {name for name, facet in walls if facet.nr not in identified}
+
+
+def _bisected(mesh: Mesh, times: int, *walls: Iterable[str]) -> Mesh:
+    """Bisect the cells with a vertex on a wall of each group of names, in place, curved as before."""
     order = mesh.GetCurveOrder()
-    for _ in range(number):
-        near = {v for e in mesh.Elements(BND) if e.mat in names for v in e.vertices}
+    for _ in range(times):
+        on = ({v for e in mesh.Elements(BND) if e.mat in names for v in e.vertices} for names in walls)
+        near = set.intersection(*on)
         for element in mesh.Elements(VOL):
             mesh.SetRefinementFlag(element, bool(near.intersection(element.vertices)))
         mesh.Refine()

@@ -163,7 +163,7 @@ def type_text(annotation: Any) -> str:
         return {dict: "tables by name", list: "array of tables"}.get(origin, "table")
     inner = type_text(arguments[-1])
     if origin is dict:
-        return "table by name" if arguments[1] is not float else f"table of {inner}s"
+        return f"table of {inner}s" if arguments[1] in (float, int) else "table by name"
     return f"array of arrays{inner[5:]}" if inner.startswith("array") else f"array of {inner}s"
 
 

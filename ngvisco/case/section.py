@@ -102,6 +102,7 @@ _TYPES: dict[Any, Any] = {
     CoefficientFunction: Annotated[Any, ROWS],
     Mapping[str, CoefficientFunction]: dict[str, Annotated[Any, TENSOR]],
     Mapping[str, float]: dict[str, float],
+    Mapping[str, int]: dict[str, int],
     # a selection by name; a key that is left out selects everything
     Sequence[str] | None: Annotated[list[str], Field(min_length=1), AfterValidator(check_once)] | None,
 }

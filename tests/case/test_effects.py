@@ -34,7 +34,7 @@ ELSEWHERE = {
     "domain.adapt.field": "case/test_adapt.py",
     "domain.adapt.every": "case/test_adapt.py",
     "domain.crossed": "geometries/test_geometries.py",
-    "domain.split_corners": "geometries/test_corner_cells.py",
+    **dict.fromkeys(("domain.split_corners", "domain.refine_corners"), "geometries/test_corner_cells.py"),
     "domain.path": "geometries/test_geometries.py",
     "domain.symmetry": "run/test_axisymmetric_terms.py",
     "domain.maxh file": "geometries/test_geometries.py",

@@ -1,5 +1,7 @@
 """Cells in corners are found and divided, and no other cell changes."""
 
+from itertools import pairwise
+
 import pytest
 from netgen.occ import Circle, Glue, OCCGeometry, Rectangle
 from ngsolve import CF, VERTEX, Integrate, Mesh
@@ -7,6 +9,7 @@ from ngsolve.meshes import MakeStructured2DMesh
 
 from ngvisco import ParameterError
 from ngvisco import geometries as g
+from ngvisco.errors import NgviscoError
 from ngvisco.geometries.meshing import corner_cells
 
 
@@ -84,3 +87,33 @@ def test_a_file_is_divided(tmp_path):
     g.box((1, 1), 0.3).ngmesh.Save(str(tmp_path / "box.vol"))
     assert corner_cells(g.load(tmp_path / "box.vol"))
     assert not corner_cells(g.load(tmp_path / "box.vol", split_corners=True))
+
+
+def spans(mesh, wall):
+    """Lengths of the edges on a wall of the unit box, along x, m."""
+    at = sorted({mesh[v].point[0] for e in mesh.Boundaries(wall).Elements() for v in e.vertices})
+    return [b - a for a, b in pairwise(at)]
+
+
+def test_cells_at_the_corners_of_a_lid_are_halved_and_others_stay():
+    plain = g.structured_box((1, 1), (4, 4), split_corners=True)
+    fine = g.structured_box((1, 1), (4, 4), split_corners=True, refine_corners={"top": 3})
+    assert spans(fine, "top")[0] == spans(fine, "top")[-1] == pytest.approx(0.25 / 2**3)
+    assert spans(fine, "bottom") == pytest.approx([0.25] * 4)
+    assert walls_of(fine) == pytest.approx(walls_of(plain))
+    assert plain.ne < fine.ne < plain.ne + 80 and not corner_cells(fine)
+
+
+def test_identified_boundaries_make_no_corners():
+    periodic = {"cells": (4, 4), "periodic": "x"}
+    fine = g.structured_box((1, 1), **periodic, refine_corners={"top": 2})
+    assert fine.ne == g.structured_box((1, 1), **periodic).ne
+
+
+@pytest.mark.parametrize(
+    ("walls", "said"),
+    [(["top"], "mapping"), ({"top": -1}, "top.*>= 0"), ({"top": 1.5}, "top.*>= 0"), ({"lid": 1}, "lid")],
+)
+def test_corners_of_a_wall_that_is_none_are_refused(walls, said):
+    with pytest.raises(NgviscoError, match=said):
+        g.refine_corners(g.structured_box((1, 1), (2, 2)), walls)
