@@ -22,7 +22,6 @@ from ngvisco.case.section import (
     owner_of,
     places,
     reached,
-    sections_in,
     shown,
 )
 from ngvisco.case.toml import line_of, value_text
@@ -260,22 +259,6 @@ def _resolve(
                 models = models_in(fields[part].annotation)
             path.append(str(part))
     return tuple(path), here, keys, [name for each_model in models for name in each_model.model_fields]
-
-
-def numbers_out_of_range(locator: Locator) -> list[Fault]:
-    """Faults of given numbers that are not finite, or whose products would underflow or overflow."""
-    faults = []
-    for path, part in sections_in(locator.sections):
-        for name in part.model_fields_set:
-            value = getattr(part, name)
-            if isinstance(value, float) and value and not LEAST <= abs(value) <= 1 / LEAST:
-                expected = f"0, or a finite number from {LEAST:g} to {1 / LEAST:g} in SI units"
-                faults.append(locator.fault((*path, name), f"{shown(value)}: expected {expected}"))
-    return faults
-
-
-LEAST = 1e-60
-"""The smallest magnitude of a number in a case file; products of five such numbers do not underflow."""
 
 
 def key_of(field: str, path: tuple[str, ...], sections: Any, value: object = None) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, create_model, model_validator
@@ -241,13 +241,8 @@ class Output(Section):
     @model_validator(mode="after")
     def _distinct(self) -> Output:
         names = {"forces"} if self.forces is not None else set()
-        tables: dict[str, Sequence[Any]] = {
-            "probes": self.probes,
-            "lines": self.lines,
-            "integrals": self.integrals,
-        }
-        for key, members in tables.items():
-            for i, name in enumerate(member.name for member in members):
+        for key in ("probes", "lines", "integrals"):
+            for i, name in enumerate(table.name for table in getattr(self, key)):
                 if name in names:
                     expected = f"a name that no other of the tables has: both would write {name}.csv"
                     raise ParameterError(f"Output.{key}.{i}.name", name, expected)
