@@ -155,11 +155,6 @@ class RunDirectory:
                 f"compute the case from its start into another directory: ngvisco run {self.case_file} -o DIR"
             )
 
-    @property
-    def is_prepared(self) -> bool:
-        """Whether case, mesh and versions are complete (versions are written last)."""
-        return all(path.exists() for path in (self.case_file, self.mesh_file, self.versions_file))
-
     def case(self) -> Case:
         """The resolved case; raises RunDirectoryError or CaseError."""
         if not self.case_file.exists():

@@ -35,7 +35,12 @@ def python_material(
     parameters : mapping of names to numbers, optional
         Arguments of the class or function, in SI units.
     """
-    module, arguments = _module(path, content_of(path)), dict(parameters or {})
+    try:
+        content = Path(path).read_bytes()
+    except OSError as error:
+        expected = f"a Python file, and {Path(path).name}: {error.strerror}"
+        raise ParameterError(f"{KIND}.path", path, expected) from error
+    module, arguments = _module(path, content), dict(parameters or {})
     target = getattr(module, law, None)
     if not callable(target):
         names = (name for name, value in vars(module).items() if _is_own(value, module))
@@ -56,16 +61,6 @@ def python_material(
         expected = f"a class or function that makes an ngvisco.Material: it made a {type(material).__name__}"
         raise ParameterError(f"{KIND}.law", law, expected)
     return material
-
-
-def content_of(path: str) -> bytes:
-    """The content of a Python file; raises ParameterError if it cannot be read."""
-    try:
-        return Path(path).read_bytes()
-    except OSError as error:
-        raise ParameterError(
-            f"{KIND}.path", path, f"a Python file, and {Path(path).name}: {error.strerror}"
-        ) from error
 
 
 def _is_own(value: Any, module: ModuleType) -> bool:

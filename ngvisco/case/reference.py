@@ -80,7 +80,7 @@ class KeyEntry:
 def entries() -> tuple[KeyEntry, ...]:
     """Every key of a case file, in the order of the schema; kinds that agree on a key share its entry."""
     grouped: dict[tuple[Any, ...], KeyEntry] = {}
-    for entry in _walk(CaseSections, (), ()):
+    for entry in _walk([CaseSections], ()):
         words = (entry.type, entry.unit, entry.meaning)
         same = (entry.path, *words, entry.required, repr(entry.default), repr(entry.example))
         first = grouped.get(same)
@@ -106,37 +106,35 @@ def _listed(user_path: tuple[str, ...]) -> tuple[str, ...]:
     return user_path
 
 
-def _walk(model: type[Section], path: tuple[str, ...], kinds: tuple[str, ...]) -> Iterator[KeyEntry]:
-    keys = [(name, field) for name, field in model.model_fields.items() if name not in TAGS]
-    for name, field in sorted(keys, key=lambda key: bool(models_in(key[1].annotation))):  # tables come last
-        inner, annotation = models_in(field.annotation), quantity(model, name)
-        default = None if inner or field.is_required() else field.default
-        is_empty = default in (None, "", [], {}, False) and annotation.example is not None
-        yield KeyEntry(
-            (*path, name),
-            kinds,
-            ", ".join(filter(None, (type_text(field.rebuild_annotation()), annotation.range))),
-            annotation.unit,
-            field.is_required(),
-            default,
-            meaning(model, name),
-            None if inner else annotation.example if is_empty else default,
-        )
-        below = (*path, name, *place_in(field.annotation))
-        if inner and below not in _same_keys():  # their keys are listed under the other table alone
-            yield from _walk_kinds(inner, below)
-
-
-def _walk_kinds(models: list[type[Section]], path: tuple[str, ...]) -> Iterator[KeyEntry]:
+def _walk(models: Sequence[type[Section]], path: tuple[str, ...]) -> Iterator[KeyEntry]:
+    """Yield the keys of a table, which is one of several sections, and of the tables in it."""
     tag = next((tag for tag in TAGS if tag in models[0].model_fields), None)
     if tag is not None:
         names = [model.__name__ for model in models]
         required = all(model.model_fields[tag].is_required() for model in models)
-        kinds = f"one of {', '.join(names)}"
-        default = None if required else names[0]
+        kinds, default = f"one of {', '.join(names)}", None if required else names[0]
         yield KeyEntry((*path, tag), (), kinds, "", required, default, "Kind of the table", names[0])
     for model in models:
-        yield from _walk(model, path, () if tag is None else (model.__name__,))
+        keys = [(name, field) for name, field in model.model_fields.items() if name not in TAGS]
+        for name, field in sorted(
+            keys, key=lambda key: bool(models_in(key[1].annotation))
+        ):  # tables come last
+            inner, annotation = models_in(field.annotation), quantity(model, name)
+            default = None if inner or field.is_required() else field.default
+            is_empty = default in (None, "", [], {}, False) and annotation.example is not None
+            yield KeyEntry(
+                (*path, name),
+                () if tag is None else (model.__name__,),
+                ", ".join(filter(None, (type_text(field.rebuild_annotation()), annotation.range))),
+                annotation.unit,
+                field.is_required(),
+                default,
+                meaning(model, name),
+                None if inner else annotation.example if is_empty else default,
+            )
+            below = (*path, name, *place_in(field.annotation))
+            if inner and below not in _same_keys():  # their keys are listed under the other table alone
+                yield from _walk(inner, below)
 
 
 def type_text(annotation: Any) -> str:
@@ -262,21 +260,21 @@ def cards(every: Sequence[KeyEntry]) -> list[str]:
     groups: dict[tuple[str, ...], list[KeyEntry]] = {}
     for entry in every:
         groups.setdefault((entry.name, entry.type, entry.unit, entry.default_text), []).append(entry)
-    return [_card(group) for group in groups.values()]
-
-
-def _card(group: list[KeyEntry]) -> str:
-    entry, is_one = group[0], len(group) == 1
-    rows = [("type", entry.type)]
-    if entry.unit:
-        rows.append(("unit", "none (a pure number)" if entry.unit == "1" else entry.unit))
-    rows.append(("default", entry.default_text))
-    rows += [("meaning", e.meaning if is_one else f"{e.meaning} ({', '.join(e.kinds)})") for e in group]
-    if entry.example is not None:
-        rows.append(("example", entry.example_text))
-    if is_one and entry.kinds:
-        rows.append(("of", ", ".join(entry.kinds)))
-    return "\n".join([entry.name, *(f"  {name:8s} {text}" for name, text in rows)])
+    found = []
+    for (name, kind, unit, default), (entry, *others) in groups.items():
+        rows = [
+            ("type", kind),
+            ("unit", "none (a pure number)" if unit == "1" else unit),
+            ("default", default),
+        ]
+        if others:
+            rows += [("meaning", f"{e.meaning} ({', '.join(e.kinds)})") for e in (entry, *others)]
+        else:
+            rows.append(("meaning", entry.meaning))
+        rows.append(("example", "" if entry.example is None else entry.example_text))
+        rows.append(("of", "" if others else ", ".join(entry.kinds)))
+        found.append("\n".join([name, *(f"  {label:8s} {text}" for label, text in rows if text)]))
+    return found
 
 
 def markdown() -> str:
@@ -370,7 +368,7 @@ def meanings(owner: Any) -> Mapping[str, str]:
     """Descriptions of parameters in the docstring of a class or function, by name, without the final stop."""
     from docstring_parser import DocstringStyle, parse  # runs do not need this package
 
-    descriptions = {}
+    descriptions, targets = {}, {target.__name__: target for target in KINDS.values()}
     for described in reversed(inspect.getmro(owner) if inspect.isclass(owner) else (owner,)):
         for part in parse(described.__doc__ or "", DocstringStyle.NUMPYDOC).params:
             text = " ".join((part.description or "").replace("``", "").split()).removesuffix(".")
@@ -378,14 +376,10 @@ def meanings(owner: Any) -> Mapping[str, str]:
             if part.args[0] != "param":
                 continue
             for name in part.arg_name.split(", "):
-                descriptions[name] = meanings(_class(same[1]))[name] if same else text
+                descriptions[name] = meanings(targets[same[1]])[name] if same else text
     return descriptions
 
 
 def summary(owner: Any) -> str:
     """The first line of an object's docstring, without the final stop."""
     return (inspect.getdoc(owner) or "").split("\n")[0].replace("``", "").removesuffix(".")
-
-
-def _class(name: str) -> Any:
-    return next(target for target in KINDS.values() if target.__name__ == name)

@@ -122,7 +122,7 @@ def resume(
 
     def prepare() -> None:
         place.require_checkpoints()
-        if not place.is_prepared:  # the run was killed while preparing
+        if not place.versions_file.exists():  # which is written last: the run was killed while preparing
             place.prepare(case, mesh_image(case.mesh()))
 
     with ranks.held_by_first(place.locked()):

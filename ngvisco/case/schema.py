@@ -133,15 +133,11 @@ class Time(TimeSteps):  # type: ignore[misc]
         return self
 
 
-def _form_of_place(value: Any) -> str:
-    return "<text>" if isinstance(value, str) else "<shapes>" if isinstance(value, list) else "<shape>"
-
-
 BodyPlace = Annotated[
     Annotated[Any, REGION, Tag("<text>")]
     | Annotated[ShapeSection, Tag("<shape>")]
     | Annotated[list[ShapeSection], Tag("<shapes>")],
-    Discriminator(_form_of_place),
+    Discriminator(lambda value: {str: "<text>", list: "<shapes>"}.get(type(value), "<shape>")),
 ]
 """A body's place: a condition on x, y, z, a shape, or a list of shapes for their union."""
 

@@ -23,7 +23,7 @@ from ngvisco.run.fields import NAMES as FURTHER
 from ngvisco.run.observers import VTKSeries
 from ngvisco.run.passive import NAMES as PASSIVE
 from ngvisco.run.refinement import stretches
-from ngvisco.run.simulation import Simulation
+from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.timestepping.scheme import SCHEMES
 
 _STEPS, _SECONDS = 12, 30.0
@@ -120,19 +120,15 @@ def _measure(
     with tempfile.TemporaryDirectory() as place:
         observers, watch = case.observers(Path(place), case.until), Stopwatch(min(_STEPS, steps), _SECONDS)
         series = [o for o in observers if isinstance(o, VTKSeries)]
-        cost = _writing(run, series[0]) if series else 0.0
+        began = clock.perf_counter()
+        for writer in series:
+            writer.start(run)
+        cost = clock.perf_counter() - began
         run.observers = [*(o for o in observers if o not in series), watch]
         run.run(case.until)
     spent = watch.seconds
     files = (cost, _files(series[0], case.until, run.dt)) if series else None
     return spent[0], float(np.median(spent[1:] or spent)), len(spent), files
-
-
-def _writing(run: Simulation, series: VTKSeries) -> float:
-    """Seconds for a file of the series, measured."""
-    began = clock.perf_counter()
-    series.start(run)
-    return clock.perf_counter() - began
 
 
 def _files(series: VTKSeries, until: float, dt: float) -> int:
@@ -143,24 +139,21 @@ def _files(series: VTKSeries, until: float, dt: float) -> int:
     return 1 + between + (not meets_end)
 
 
-class Stopwatch:
+class Stopwatch(Observer):
     """Observer that measures the seconds of each step, and ends the run after some steps or seconds."""
 
     def __init__(self, steps: int, until: float) -> None:
         self._steps, self._until = steps, until
         self.seconds: list[float] = []
 
-    def start(self, _simulation: Simulation) -> None:
+    def start(self, simulation: Simulation) -> None:
         self._lap = clock.perf_counter()
 
-    def step(self, simulation: Simulation, _row: dict[str, float]) -> None:
+    def step(self, simulation: Simulation, row: dict[str, float]) -> None:
         began, self._lap = self._lap, clock.perf_counter()
         self.seconds.append(self._lap - began)
         if len(self.seconds) >= self._steps or sum(self.seconds) >= self._until:
             simulation.request_stop()
-
-    def finish(self, _simulation: Simulation) -> None:
-        """Do nothing: the measured seconds stay."""
 
 
 def _peak() -> float:

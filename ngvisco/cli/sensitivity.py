@@ -21,7 +21,6 @@ from ngvisco.errors import CheckpointError, ParameterError, StopRequested, Unkno
 from ngvisco.run.simulation import Simulation
 from ngvisco.sensitivity.fit import Fit
 from ngvisco.sensitivity.fit import fit as fitted
-from ngvisco.sensitivity.gradient import Gradient
 from ngvisco.sensitivity.gradient import gradient as differentiated
 from ngvisco.sensitivity.parameters import PART, Named
 
@@ -46,7 +45,11 @@ def gradient(options: argparse.Namespace) -> int:
     rows = zip(result.of, np.column_stack([result.values, result.jacobian]), strict=True)
     _write(out / "gradient.csv", ["number", "value", *result.by], rows)
     shutil.rmtree(out / RESTART)
-    streams.write(f"{result}\nAll numbers are in SI units.\n{_of_limiter(result)}{out / 'gradient.csv'}\n")
+    streams.write(f"{result}\nAll numbers are in SI units.\n")
+    if result.limited:
+        limited = f"the limiter changed {result.limited} cells in all"
+        streams.write(f"{limited}; derivatives treat its changes as constant\n")
+    streams.write(f"{out / 'gradient.csv'}\n")
     return code
 
 
@@ -128,12 +131,6 @@ def _directory(options: argparse.Namespace, name: str, kind: str) -> Path:
     if options.force:
         shutil.rmtree(out / RESTART, ignore_errors=True)
     return out
-
-
-def _of_limiter(result: Gradient) -> str:
-    if not result.limited:
-        return ""
-    return f"the limiter changed {result.limited} cells in all; derivatives treat its changes as constant\n"
 
 
 def _sigma(text: str | None) -> float | dict[str, float] | None:
