@@ -22,6 +22,7 @@ from ngvisco.case.section import (
     owner_of,
     places,
     reached,
+    sections_in,
     shown,
 )
 from ngvisco.case.toml import line_of, value_text
@@ -259,6 +260,24 @@ def _resolve(
                 models = models_in(fields[part].annotation)
             path.append(str(part))
     return tuple(path), here, keys, [name for each_model in models for name in each_model.model_fields]
+
+
+LEAST = 1e-60
+"""The smallest magnitude of a number in a case file; products of five such numbers do not underflow."""
+
+
+def numbers_out_of_range(locator: Locator) -> list[Fault]:
+    """Faults of given numbers whose products would underflow or overflow."""
+    expected = f"expected 0, or a finite number from {LEAST:g} to {1 / LEAST:g} in SI units"
+    tables = sections_in(locator.sections)
+    numbers = [
+        ((*path, name), getattr(part, name)) for path, part in tables for name in part.model_fields_set
+    ]
+    return [
+        locator.fault(key, f"{shown(value)}: {expected}")
+        for key, value in numbers
+        if isinstance(value, float) and value and not LEAST <= abs(value) <= 1 / LEAST
+    ]
 
 
 def key_of(field: str, path: tuple[str, ...], sections: Any, value: object = None) -> tuple[str, ...]:

@@ -31,15 +31,13 @@ from pydantic import (
 from ngvisco.case.laws import EnergyText
 from ngvisco.case.toml import value_text
 from ngvisco.case.values import LAW, MODULUS, NUMBERS, PLAIN, ROWS, SCALAR, TENSOR, VECTOR, ValueKind
-from ngvisco.errors import Declared, ParameterError, Quantity, UnknownNameError
+from ngvisco.errors import Declared, Quantity, UnknownNameError
 from ngvisco.physics.diffusion import WallExchange
 from ngvisco.physics.heat import Conductivity, WallHeat
 from ngvisco.physics.material import Material as MaterialObject
 from ngvisco.physics.parameters import Modulus
 from ngvisco.run.adaptive import AdaptiveSteps
 
-LEAST = 1e-60
-"""The smallest magnitude of a number in a case file; products of five such numbers do not underflow."""
 TAGS = ("geometry", "kind")
 """Keys whose value chooses a section."""
 
@@ -65,13 +63,8 @@ class Section(BaseModel):
     @field_validator("*")
     @classmethod
     def _in_range(cls, value: Any, info: ValidationInfo) -> Any:
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
-            return value
-        number = _declaration(cls, name := str(info.field_name)).taken(name, value)
-        if isinstance(value, float) and value and not LEAST <= abs(value) <= 1 / LEAST:
-            expected = f"0, or a finite number from {LEAST:g} to {1 / LEAST:g} in SI units"
-            raise ParameterError(name, value, expected)
-        return number
+        is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        return _declaration(cls, name := str(info.field_name)).taken(name, value) if is_number else value
 
     @model_validator(mode="after")
     def _possible(self) -> Any:
