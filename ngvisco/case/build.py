@@ -252,7 +252,8 @@ class Case:
 
 
 def _built(table: Any, names: Iterable[str]) -> dict[str, Any]:
-    """The objects that a table's sections ``names`` describe, without missing ones."""
+    """The objects that the sections ``names`` of a table describe; sections that the table lacks are left
+    out."""
     return {name: part.built for name in names if (part := getattr(table, name)) is not None}
 
 

@@ -1,4 +1,4 @@
-"""The names that a case file may use; a new material, mechanism, load, wall or geometry is one name here.
+"""The names that a case file may use; one name here adds a material, mechanism, load, wall or geometry.
 
 The keys of a section are the parameters of its dataclass or function, read from the annotations.
 """
@@ -23,7 +23,8 @@ Kinds: TypeAlias = Mapping[str, Callable[..., Any]]
 
 
 def _of(module: ModuleType, names: str, **others: Any) -> dict[str, Any]:
-    """Classes or functions of a module by their names, and others, in alphabetical order."""
+    """Classes or functions of a module with these ``names``, and ``others``, by name in alphabetical
+    order."""
     return dict(sorted({**{name: getattr(module, name) for name in names.split()}, **others}.items()))
 
 

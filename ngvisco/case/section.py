@@ -202,16 +202,15 @@ def inner_tables(model: type[Section]) -> Iterator[tuple[tuple[str, ...], list[t
 
 
 def places(top: type[Section]) -> dict[type[Section], tuple[str, ...]]:
-    """The path of each section's table in a case whose keys are those of ``top``; of several paths the
-    shortest."""
-    found: dict[type[Section], tuple[str, ...]] = {}
+    """The shortest path of each section's table in a case whose keys are those of ``top``."""
+    paths: dict[type[Section], tuple[str, ...]] = {}
     waiting: list[tuple[type[Section], tuple[str, ...]]] = [(top, ())]
     while waiting:
         model, path = waiting.pop(min(range(len(waiting)), key=lambda i: len(waiting[i][1])))
-        if model not in found:
-            found[model] = path
+        if model not in paths:
+            paths[model] = path
             waiting += [(part, (*path, *way)) for way, parts in inner_tables(model) for part in parts]
-    return found
+    return paths
 
 
 def nodes(node: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
@@ -265,7 +264,7 @@ def reached(node: Any, path: tuple[str, ...], names: Sequence[str]) -> list[tupl
 
 
 def owner_of(model: type[Section]) -> Any:
-    """The class or function whose parameters a section holds; else the section itself."""
+    """The class or function whose parameters a section holds; without one, the section itself."""
     return model.target or model
 
 
@@ -313,7 +312,7 @@ def values_of(model: type[Section]) -> dict[str, ValueKind]:
 def parameters(part: Section) -> dict[str, Any]:
     """The parameters of a section's target by name; other keys and values of None are left out.
 
-    Sections become the objects that they describe, and texts functions.
+    Objects replace the sections that describe them, and functions replace texts of laws.
     """
     kinds, arguments = values_of(type(part)), inspect.signature(type(part).target).parameters
     values = {name: getattr(part, name) for name in type(part).model_fields if name in arguments}

@@ -229,7 +229,7 @@ class _Scaled(ast.NodeTransformer):
 def key_and_unit_of(name: str, sections: Section) -> tuple[str, str]:
     """The key and the SI unit of the number that a parameter of a run has in a case.
 
-    ``name`` is that of ``sensitivity.parameters``: keys of ``[rheology]`` may stand at the front, and a body
+    ``name`` is that of ``sensitivity.parameters``: a name may begin with a key of ``[rheology]``, and a body
     may be called by its name.  The unit is empty for pure numbers and for names that are no key.
     """
     at_front = name.partition(".")[0] in type(sections.rheology).model_fields  # type: ignore[attr-defined]

@@ -126,7 +126,7 @@ def _region(value: Any) -> Any:
 
 
 def shape_of(value: Any) -> Any:
-    """The shape of a condition, the shape itself, or the union of several shapes."""
+    """The shape that a condition describes; a shape as it is; several shapes as their union."""
     if value == []:
         raise ParameterError("Body.where", value, "at least one shape")
     if isinstance(value, list):
@@ -190,9 +190,9 @@ LAW = ValueKind(
 REGION = ValueKind("condition", _region, {"type": "string"}, made=shape_of)
 """A condition on x, y, z."""
 PLAIN = ValueKind("", lambda value: value, {})
-"""Numbers, texts and tables, which are what they say."""
+"""Numbers, texts and tables from which no object is made."""
 
 
 class Wrong(str):
-    """The message about a value with a wrong unit. It replaces the value in the data, and every key refuses
-    it."""
+    """The message about a value with a wrong unit. The message replaces the value in the data, and every key
+    refuses this message."""

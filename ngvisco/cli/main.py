@@ -204,7 +204,8 @@ _DISTRIBUTED = ("run", "resume")
 
 
 def _on_ranks(options: argparse.Namespace) -> int:
-    """Run the command on all processes of mpirun; only the first one prints, and all end alike."""
+    """Run the command on all processes of mpirun; only the first one prints, and all return the same exit
+    code."""
     from ngvisco.parallel.communicator import Communicator, MPIError
 
     try:

@@ -25,7 +25,7 @@ from ngvisco.sensitivity.gradient import gradient as differentiated
 from ngvisco.sensitivity.parameters import PART, Named
 
 RESTART = "restart"
-"""Folder in the output from which an interrupted command goes on; a finished command removes it."""
+"""Folder in the output from which an interrupted command goes on; a finished command removes the folder."""
 Computed = TypeVar("Computed")
 
 

@@ -37,7 +37,7 @@ def be_silent() -> None:
 
 
 def write(text: str) -> None:
-    """Write to standard output and flush; if this fails, drop the text."""
+    """Write a text to standard output and flush; if this fails, drop the text."""
     if _silent:
         return
     try:

@@ -1,8 +1,8 @@
 """Verification: measurements of the paper's claims and of exact solutions, in a reproducible report.
 
 ``python -m tests.verification -o report/`` runs all cases.  A case states its bounds before it runs
-(``case.Case``); ``runner`` runs it and ``report`` writes its results.  The cases stand in
-``verification.cases``, one module a theme; tests share ``manufactured``, ``convergence`` and ``setups``.
+(``case.Case``); ``runner`` runs it and ``report`` writes its results.  Each module of ``verification.cases``
+has the cases of one theme; tests share ``manufactured``, ``convergence`` and ``setups``.
 
 Cases run on one thread: NGSolve's further threads wait actively, which takes ten times as long beside other
 work, and processor time counts the wait.

@@ -2,7 +2,7 @@
 
 A physical number (a height, a frequency, a coefficient of restitution) has a bound on both sides: a one-sided
 bound passes with any value on the other side.  A bound may be one-sided only if its quantity is of one of
-``KINDS``, which say why there is no other side.  The words of the quantity tell the kind.
+``KINDS``; each kind says why there is no other side.  Words in the quantity's name tell the kind.
 """
 
 from __future__ import annotations

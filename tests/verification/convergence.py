@@ -49,7 +49,7 @@ RULES: dict[str, tuple[Callable[..., nv.FlowRule], dict[str, float]]] = {
 }
 """Flow rules that lack nu, and their constants for the formulas in numpy."""
 HYPER = {None: 0.0, 2.0: 1e-2, 4.0: 1e-3}
-"""mu for each p, with about the effect of the Stokes viscosity on the exact fields."""
+"""The hyperviscosity mu for each p; its effect on the exact fields is about that of the Stokes viscosity."""
 
 
 def material(kind: str) -> nv.Material:
@@ -150,7 +150,8 @@ def coefficients(
 # --- errors ----------------------------------------------------------------------------------------------
 
 SHORT = 1e-6
-"""Step of the sources' time differences, s, for measuring orders in time: the sources' error is as small."""
+"""Step of the sources' time differences, s, when orders in time are measured: the sources' error is of this
+order."""
 
 
 def coupled_rates(
@@ -170,7 +171,7 @@ def coupled_rates(
     sources: Callable[..., Sources] = Sources,
 ) -> RateTable:
     """Errors in space, in L2 after two steps of 0.05 s, of the whole system of ``model``, in the unit ball if
-    ``curved``.  Other ``sources`` than the exact fields' are for negative controls."""
+    ``curved``.  Negative controls give ``sources`` that differ from those of the exact fields."""
     system = model(kind, dim, p, regularised, delta, nu, rule)
     terms = (", all terms" if delta else ", all terms but delta") if regularised else ""
     table = RateTable(f"coupled, {kind}, {dim}D, p = {p}, k = {k}, m = {m}{terms}")

@@ -1,6 +1,7 @@
 """Residuals of the strong equations without NGSolve, by finite differences of the exact fields in numpy.
 
-They check ``manufactured.Sources`` independently: textbook formulas, with no form and no derivative shared.
+They check ``manufactured.Sources`` independently by textbook formulas, and share no form and no derivative
+with it.
 """
 
 from collections.abc import Callable
@@ -20,7 +21,8 @@ ArrayFunction = Callable[[np.ndarray], np.ndarray]
 
 
 def difference(f: ArrayFunction, j: int) -> ArrayFunction:
-    """The derivative d_j f by a central difference of eighth order; the argument's last axis is a point's."""
+    """The derivative d_j f by a central difference of eighth order; the last axis of X has the coordinates
+    of a point."""
 
     def derivative(X: np.ndarray) -> np.ndarray:
         shifts = np.zeros((len(_OFFSETS), *[1] * (X.ndim - 1), X.shape[-1]))

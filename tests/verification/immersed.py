@@ -30,9 +30,9 @@ _SPACING = 0.6  # distance of the triangles' nodes over the size of the grid's c
 class Problem:
     """A unit box, 1 m, of density 1 kg/m^3 with a disc: its centre and radius, m, and shear modulus G, Pa.
 
-    ``viscosity`` is mu everywhere, Pa s.  ``lid`` is the speed of the wall y = 1 m, m/s, with the other walls
-    at rest; with None all walls slip.  ``vortex`` is psi_0, m^2/s, in the start velocity (d_y psi, -d_x psi),
-    psi = psi_0 sin 2 pi x sin 2 pi y.
+    ``viscosity`` is mu everywhere, Pa s.  ``lid`` is the speed of the wall y = 1 m, m/s, while the other
+    walls are at rest; with None all walls slip.  ``vortex`` is psi_0, m^2/s, in the start velocity (d_y psi,
+    -d_x psi), psi = psi_0 sin 2 pi x sin 2 pi y.
     """
 
     centre: tuple[float, float]

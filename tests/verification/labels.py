@@ -1,7 +1,8 @@
 """The paper's labels, with the modules that implement them and the cases or tests that measure them.
 
 ``labels.txt`` lists the labels, their meanings, and the tests.  Modules are found by labels in their
-docstrings and comments, cases by the labels that they name, so that neither is written down twice.
+docstrings and comments, and cases by the labels that they name, so that no module or case is written down
+twice.
 """
 
 import re

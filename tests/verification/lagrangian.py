@@ -1,4 +1,5 @@
-"""An elastic disc thrown at a rigid wall without friction, by another method: a mesh moves with the disc.
+"""An elastic disc thrown at a rigid wall without friction, by another method, whose mesh moves with the
+disc.
 
 By symmetry the disc is one of two discs that meet.  Displacements u of order 2, on curved triangles of the
 half above the line of flight, in empty space, solve

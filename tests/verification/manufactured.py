@@ -2,7 +2,8 @@
 
 The fields are written once, for coefficient functions and for numpy arrays alike.  They meet the natural
 conditions of the walls of the unit box: v.n = 0, no tangential traction, hess v:(n x n) = 0, (n . grad) Pi =
-0.  They do not meet the conditions of the delta-terms, whose fluxes through walls ``Sources`` supplies.
+0.  They do not meet the conditions of the delta-terms; ``Sources`` supplies these terms' fluxes through
+   walls.
 With f = sin(pi x) and g = 1 - 2S, S the smooth step of degree 7 (g', g'', g''' vanish at 0 and 1),
 v_i = c_i(t) f(x_i) prod_{j != i} g(x_j), and shear components of E and F vanish where they must.
 """
@@ -192,8 +193,8 @@ def divergence(A: CoefficientFunction, dim: int) -> CoefficientFunction:
 class Sources:
     """Strong residuals of the exact fields, and the term that puts them into the system.
 
-    With the *discrete* time derivative (z(t) - z(t - tau))/tau, tau the run's step, the run's error is the
-    error in space; with a far shorter tau it includes the error in time.
+    If the time derivative is the *discrete* one, (z(t) - z(t - tau))/tau with the run's step tau, the run's
+    error is the error in space; with a far shorter tau the run's error includes the error in time.
 
     Form and source of momentum are those of the momentum equation minus v/2 times the continuity equation.
     """
@@ -378,7 +379,8 @@ class Sources:
 
 
 class TakingPartWholly(Sources):
-    """Wrong sources, for negative controls: a body with a small fraction is stretched as one alone."""
+    """Wrong sources, for negative controls: a body with a small fraction is stretched like a body that fills
+    the domain."""
 
     @property
     def kinematics(self) -> CoefficientFunction:

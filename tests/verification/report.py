@@ -1,7 +1,8 @@
 """The report of all results, in Markdown with pictures beside it, and the kept report.
 
-In the kept report new results replace the rows of their cases, each with its commit, since a whole report
-takes longer than a change.  It leaves out cases that no longer exist, and lists cases that are missing.
+In the kept report new results replace the rows of their cases, and each row has its commit: a whole report
+takes longer than a change can wait.  It leaves out cases that no longer exist, and lists cases that are
+missing.
 """
 
 import io
@@ -124,7 +125,7 @@ def draw(plot: Plot) -> bytes:
 # --- the kept report ------------------------------------------------------------------------------------
 
 FIRST = "e85ab32"
-"""The commit of rows without a commit: that of the last whole report, or an earlier one."""
+"""The commit of rows that name none: that of the last whole report, or an earlier commit."""
 _ROW = re.compile(r"^\| ([^|]*) \| \[([\w-]+)\]\(.*\| (\d+) s \|(?: ([^|]*) \|)?$")
 
 

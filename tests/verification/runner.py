@@ -1,4 +1,5 @@
-"""Runs cases, one after the other or some at once; an error in a case is its result and ends no other case.
+"""Runs cases one after the other, or some at once; an error in a case is the case's result and ends no other
+case.
 
 A report's directory keeps results case by case, so that an interrupted report can go on.
 
@@ -9,7 +10,7 @@ A report's directory keeps results case by case, so that an interrupted report c
 | report.md          | the report, written last                                              |
 | pictures/NAME.png  | the report's pictures                                                 |
 
-Every file is written under another name and renamed.
+Every file is written under another name, and then renamed.
 """
 
 import json

@@ -9,7 +9,7 @@ from tests.verification.cases import all_cases
 
 
 def test_physical_number_with_a_bound_on_one_side_is_refused():
-    """A coefficient of restitution of 0.278 once kept the bound '<= 0.95'."""
+    """A coefficient of restitution of 0.278 once passed, because its bound was '<= 0.95'."""
     for text in ("coefficient of restitution <= 0.95: viscous", "height of the wave, m >= 0.1: it rises"):
         with pytest.raises(VerificationError, match="two sides: 'quantity in"):
             parsed("a case", text)
@@ -27,7 +27,7 @@ def test_physical_number_with_a_bound_on_one_side_is_refused():
 
 
 def test_error_is_a_size():
-    """A signed number named an error would keep its bound with any negative value."""
+    """A signed number that is called an error would keep its bound with any negative value."""
     error, rise = Bound("error of v", "<=", 0.1), Bound("largest rise of the energy", "<=", 1e-12)
     assert error.holds(0.0) and error.holds(0.1) and not error.holds(-1e-3)
     assert rise.holds(-5.0) and not rise.holds(-math.inf)

@@ -20,7 +20,8 @@ K, G = 10.0, 5.0
 @pytest.mark.ci
 @pytest.mark.parametrize("kind", ["pressure", "shear"])
 def test_a_plane_wave_leaves_through_a_matched_wall(kind):
-    """At most 1e-4 of the energy, 1 % of the amplitude, returns; with Z = rho c/2 a third of the latter."""
+    """At most 1e-4 of the energy, 1 % of the amplitude, returns; with Z = rho c/2 a third of the amplitude
+    returns."""
     modulus = {"pressure": K + 4 / 3 * G, "shear": G}[kind]
     c, z = modulus**0.5, {"pressure": (1.0, 0.0), "shear": (0.0, 1.0)}[kind]
     pulse = 1e-5 * exp(-(((x - 0.5) / 0.18) ** 2))
@@ -129,7 +130,8 @@ def test_a_spring_that_starts_strained_pulls():
     ("scheme", "solver"), [("backward-euler", "coupled"), ("midpoint", "split"), by_ci("sdirk2", "split")]
 )
 def test_a_wall_s_displacement_is_the_integral_of_its_velocity(scheme, solver):
-    """Walls without springs move as with springs of no stiffness; a piston at x = 1 by (1 - cos t)/100."""
+    """Walls without springs move like walls with springs of no stiffness; a piston at x = 1 moves by (1 -
+    cos t)/100."""
     means, model = [], nv.Model(material=nv.LinearElastic(K_e=K, G_e=G))
     piston = nv.PrescribedNormal(velocity=1e-2 * sin(nv.time), displacement=True)
     for free in (nv.Open(pressure=0.1, displacement=True), nv.Open(pressure=0.1, stiffness=(1e-14, 0.0))):

@@ -59,7 +59,8 @@ def test_runs_do_not_depend_on_the_units(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_creeping_rock_in_si_units_keeps_its_ledger(kind: str) -> None:
-    """Rock of 100 km and 1e22 Pa s, in steps of 1,000 years, moves by 1e-8 m/s, 1e-11 of free fall."""
+    """Rock of 100 km and 1e22 Pa s, in steps of 1,000 years, moves at 1e-8 m/s, 1e-11 of the speed of free
+    fall."""
     linear = LinearElastic(K_e=2e10, G_e=1e10)
     model = Model(
         material=linear if kind == "linear" else NeoHookean(K_e=2e10, G_e=1e10, epsilon=1e9),
@@ -76,7 +77,8 @@ def test_creeping_rock_in_si_units_keeps_its_ledger(kind: str) -> None:
 
 
 def test_the_theory_of_necks_has_the_limits_that_are_known() -> None:
-    """Limits: a thin layer in nothing, which for n = 1 does not neck; Biot's folds, 1961, of stiff layers."""
+    """Limits: a thin layer without a medium, which for n = 1 does not neck; folds of stiff layers (Biot
+    1961)."""
     for n in (1.0, 3.0, 10.0):
         assert growth(n, 1e7, 0.01, 800.0) == pytest.approx(n - 1, abs=2e-3)
     ratio, waves = 1e4, np.geomspace(0.05, 0.14, 40)

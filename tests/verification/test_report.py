@@ -131,7 +131,8 @@ def test_case_is_declared_by_a_text_above_the_function_that_measures_it():
 
 
 def test_closure_and_drift_are_those_of_all_runs_of_a_case(monkeypatch):
-    """Runs that the case drops count too; a case without a run has no closure, which is an error."""
+    """Runs that the case drops count too; it is an error if a case has no run, because then it has no
+    closure."""
     monkeypatch.setattr(
         Ledger, "record", lambda ledger, off: {"closure_relative": -off, "mass_drift": off / 2}
     )
@@ -257,7 +258,8 @@ def test_every_claim_is_on_a_linearised_and_a_finite_strain_case():
 @pytest.mark.long
 @pytest.mark.ci
 def test_reduced_set_holds(tmp_path):
-    """One case or two of every theme take minutes, by two processes, since this test is its tier's last."""
+    """One case or two of every theme take minutes; two processes run them, since this test is the last of
+    its tier."""
     assert main(["--reduced", "--jobs", "2", "-o", str(tmp_path / "report")]) == DONE
 
 

@@ -1,4 +1,4 @@
-"""Impact and expansion of an elastic solid on a coarse strip; the case has a fine strip."""
+"""Impact and expansion of an elastic solid on a coarse strip; the verification case has a fine one."""
 
 import numpy as np
 import pytest

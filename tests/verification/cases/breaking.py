@@ -16,7 +16,8 @@ LONGEST = 0.04
 
 
 def _broken(dt: float, growth: float | None = None) -> tuple[list[float], nv.Simulation]:
-    """The number of steps, the largest growths of damage and crack in one, the largest load, N, and the run.
+    """The number of steps, the largest growths of damage and crack in one step, the largest load, N, and the
+    run.
 
     The lid moves with ``SPEED``, so that its power is the load times ``SPEED``.
     """

@@ -28,8 +28,8 @@ def channel_startup(t: np.ndarray, heights: np.ndarray, eta_s: float) -> np.ndar
     rest.
 
     The equations are rho v_t = eta_s v_yy + tau_y + 1, lambda tau_t = eta_p v_y - tau (Waters and King
-    1970).  For each sine in y they are two linear equations with constant coefficients, solved by the matrix
-    exponential.
+    1970).  For each sine in y the amplitudes of v and tau obey two linear equations with constant
+    coefficients, which the matrix exponential solves.
     """
     v = np.zeros((len(t), len(heights)))
     for n in range(1, 80, 2):

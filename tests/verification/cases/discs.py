@@ -1,4 +1,4 @@
-"""Elastic discs: two that meet, bodies that lose no energy without a load, a jelly that drops."""
+"""Elastic discs: two discs meet, bodies without a load gain no energy, a jelly drops."""
 
 import math
 import warnings
@@ -29,9 +29,8 @@ CASES = Cases("Bodies and their interfaces")
 
 # --- two discs that meet -------------------------------------------------------------------------------
 """There is one velocity field. Its continuity keeps two bodies apart, and they can part because the film of
-the medium between them opens again. The mesh is its own image under half a turn about the middle, and so is
-the motion: momenta and places of both discs are opposite to rounding, until limiters decide differently at a
-threshold.
+the medium between them opens again. Half a turn about the middle maps the mesh, and the motion, to itself:
+momenta and places of both discs are opposite to rounding, until limiters decide differently at a threshold.
 """
 
 SIZE, CELLS, RADIUS = (1.4, 0.8), (14, 8), 0.21

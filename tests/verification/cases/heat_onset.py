@@ -33,8 +33,8 @@ class Plates:
     """Two plates 1 m apart, and the onset of convection between them.
 
     The fields are a function that makes a plate with a ``WallHeat``; the order of the derivative of W that
-    vanishes there, like W and Theta; the critical wave number, 1/m, and Rayleigh number; and two Rayleigh
-    numbers, below and above it."""
+    vanishes at a plate, where W and Theta vanish too; the critical wave number, 1/m; the critical Rayleigh
+    number; and two Rayleigh numbers, one below and one above the critical one."""
 
     wall: Callable[..., Any]
     derivative: int

@@ -1,9 +1,10 @@
-"""A copper bar thrown at a rigid wall (Taylor 1948): its length, its foot, and where its energy goes.
+"""A copper bar thrown at a rigid wall (Taylor 1948): its length, its foot, and the balance of its energy.
 
-Units are mm, us and GPa, so that 1 g/cm^3 is the unit of density. The bar is surrounded by a light fluid with
-the bar's volumetric energy: then bodies have a common pressure in closed form, and a light fluid that keeps
-its volume gives way like air. The cells have to allow it: of triangles with velocities of order one and one
-dilatation each, two in a rectangle lock, and four that meet in its middle do not.
+Units are mm, us and GPa, so that 1 g/cm^3 is the unit of density. The bar is surrounded by a light fluid
+with the bar's volumetric energy, because then the common pressure of bodies has a closed form. A light fluid
+gives way like air, although it keeps its volume. The cells must not lock: triangles with velocities of order
+one and one dilatation each lock if a rectangle has two of them, and do not lock if it has four that meet in
+its middle.
 """
 
 import math
@@ -30,10 +31,10 @@ DENSITY, BULK, SHEAR, YIELD, HARDENING, DASHPOT = 8.93, 130.0, 43.3, 0.4, 0.1, 0
 LIGHT = 0.05
 """The fluid's density."""
 OUTER, TOP, GROWTH = 9.0, 35.0, 1.15
-"""The domain, and by how much rows grow away from the bar."""
+"""The domain, and the ratio of the heights of neighbouring rows away from the bar."""
 END = 80.0
 WAVE, BEHIND = 4.0, 20.0
-"""Time when the elastic wave has gone 18.3 mm, and the place beyond which it has not come."""
+"""Time when the elastic wave has gone 18.3 mm, and a place that it has not reached then."""
 Pattern = Literal["crossed", "diagonal"]
 
 

@@ -1,4 +1,5 @@
-"""The smearing of interfaces between bodies: rigid rotation, Zalesak's disc, a vortex and back.
+"""The smearing of interfaces between bodies: rigid rotation, Zalesak's disc, and a vortex
+that is reversed.
 
 The package's terms and limiters transport the bodies.  The flows are incompressible and steady except for a
 factor of time, v = c(t) w.  The transport matrix is M/tau + |c| K^+-, with K of the flow or of the reversed
@@ -44,8 +45,8 @@ of transported coordinates."""
 class Test:
     """A body, a function that is > 0 inside it, and a flow c(t) w that brings the body back to its place.
 
-    ``perimeter`` is the length of the boundary, m, ``flow`` is w, m/s.  If ``end`` is 1 s, c = 1; else the
-    flow goes forth and back.
+    ``perimeter`` is the length of the boundary, m, ``flow`` is w, m/s.  If ``end`` is 1 s, c = 1; otherwise
+    the flow is reversed after half of the time.
     """
 
     level: Callable[[CoefficientFunction, CoefficientFunction], CoefficientFunction]

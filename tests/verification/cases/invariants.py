@@ -30,7 +30,8 @@ CASES = Cases("Dependent variables")
 # --- variables that depend on each other ---------------------------------------------------------------
 """The limits J -> det F, H -> Cof F, A -> 1/J, K -> ln J/J as delta, tau, h -> 0.
 
-The scheme transports these variables separately, as the paper does; they are consistent in the limit only.
+The scheme transports these variables separately, as the paper does, so that the formulas between them hold
+in the limit only.
 """
 
 COFACTORS = nv.MooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0, epsilon=0.1, elastic_state="F")
@@ -67,7 +68,7 @@ def _least(run: nv.Simulation) -> float:
 
 
 def defects_of(material: nv.Material) -> Measured:
-    """Defects as tau and h go to zero, without delta and with delta ~ h^2, and as only delta goes to zero."""
+    """Defects for tau, h -> 0 without delta and with delta ~ h^2, and for delta -> 0 alone."""
     plain, together = (RateTable(f"defects as {what} go to zero") for what in ("tau, h", "delta, tau, h"))
     alone = RateTable("defects as delta alone goes to zero, beyond those of delta = 0", "delta, m2/s")
     runs = [_run(material, h, 0.0) for h in LEVELS]
@@ -219,8 +220,8 @@ RHO_MAX = 1.0
 def converging(
     kind: str, law: nv.Regularisation | None, maxh: float, tau: float, m: int
 ) -> tuple[nv.Simulation, str]:
-    """Run matter of density 1 into the middle of a soft tube at 3 m/s until 0.3 s; also return an early end's
-    reason."""
+    """Run matter of density 1 into the middle of a soft tube at 3 m/s until 0.3 s; returns also why a run
+    ended early."""
     soft = nv.LinearElastic(K_e=1.0, G_e=0.5)
     model = nv.Model(
         material=soft if kind == "linearised" else nv.NeoHookean(K_e=1.0, G_e=0.5, epsilon=0.1),
@@ -350,8 +351,8 @@ EXPONENTS = (1.5, 2.0, 2.5, 3.0, 3.5, 4.0)
 
 
 def hyperviscous(kind: str) -> Measured:
-    """Runs with mu -> 0, p = 2 and 4, against a run without hyperviscosity; with p from 1.5 to 4; on finer
-    meshes."""
+    """Compare runs with mu -> 0, p = 2 and 4, with a run without hyperviscosity; vary p from 1.5 to 4;
+    refine the mesh."""
     rows = []
 
     def run_of(p: float | None, mu: float, maxh: float = MAXH) -> nv.Simulation:

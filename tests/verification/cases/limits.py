@@ -1,4 +1,4 @@
-"""Stability for every step length, limits with their rates, and the models against each other."""
+"""Stability for every step length, limits with their rates, and comparisons of the models."""
 
 import math
 import warnings
@@ -134,8 +134,8 @@ def _halved(
 
 
 class Fading(nv.Observer):
-    """Halves the strain of traces after each step, which is a relaxation at the rate 1/tau, without a
-    limit."""
+    """Halves the strain of traces after each step. This is a relaxation at the rate 1/tau, which has no
+    limit for tau -> 0."""
 
     def step(self, simulation: nv.Simulation, row: dict[str, float]) -> None:
         step, material = simulation.rothe_step, simulation.model.material

@@ -1,4 +1,4 @@
-"""Unloaded bodies in a periodic box conserve momentum with all kinds of jumps; a disc that spins."""
+"""Unloaded bodies in a periodic box conserve momentum with all kinds of jumps; a disc spins."""
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager

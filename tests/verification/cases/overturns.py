@@ -14,7 +14,7 @@ CASES = Cases("Bodies and their interfaces")
 
 # --- Rayleigh–Taylor of an elastic layer over a fluid --------------------------------------------------
 """A layer of thickness h and shear modulus G hangs on a rigid ceiling over a fluid that is lighter by drho.
-For an incompressible layer a pressure p cos(k x) on the free face lifts the face by
+A pressure p cos(k x) on the free face of an incompressible layer lifts this face by
 
     w = p/(2 G k) (sinh a cosh a - a)/(cosh^2 a + a^2),    a = k h,
 

@@ -77,7 +77,8 @@ def _least(run: nv.Simulation) -> float:
 def table(
     orders: tuple[int, int], schemes: tuple[Scheme, ...], ratios: tuple[tuple[float, float], ...] = RATIOS
 ) -> Iterator[tuple[Balance | None, list[Any]]]:
-    """Balance and row of each problem, scheme and ratio; without a balance if a step has no solution."""
+    """Balance and row of each problem, scheme and ratio; the balance is missing if a step has no
+    solution."""
     for problem, make in PROBLEMS.items():
         for scheme in schemes:
             for stiffer, denser in ratios:

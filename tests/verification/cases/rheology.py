@@ -133,7 +133,7 @@ def _creep(kind: str) -> Measured:
 
 
 def _upper_convected(kind: str) -> Measured:
-    """Compare with the upper-convected Maxwell fluid, with which the fluid agrees as Wi = lambda rate -> 0.
+    """Compare with the upper-convected Maxwell fluid, which is the limit for Wi = lambda rate -> 0.
 
     F Pi F^T is (b^2 - tr b/3 b) G/G_m, the upper-convected (b - I)/(2 lambda) to first order in b - I."""
     table, against_ode = RateTable("deviation at t = 4 s, relative", "Wi"), 0.0

@@ -62,10 +62,11 @@ AXES = {"stiffness, Pa": STIFFNESS, "K_e/G_e": RATIOS, "viscosity, Pa s": VISCOS
 
 
 def attempt(kind: str, stiffness: float, ratio: float, viscosity: float, tau: float) -> list[float]:
-    """Counts for the steps of one configuration: tried, solved at the first try, solved, and iterations.
+    """Counts for the steps of one configuration: steps tried, solved at the first attempt, and solved;
+    iterations.
 
-    Also has the largest closure and Courant number.  After a step without a solution later steps count as
-    unsolved."""
+    The largest closure and Courant number are kept too.  After a step without a solution later steps count
+    as unsolved."""
     run = block(
         kind,
         tau,

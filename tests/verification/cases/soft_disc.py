@@ -35,8 +35,8 @@ PATH = np.array(
 )
 """Time, s, and centroid of the disc in the cavity, m: ``immersed.limit`` of N = 64, 96, 128, Peskin's kernel.
 
-The limit with the kernel of three cells is within 0.0003 m of it at all times.  The path by N = 128 alone is
-0.0048 m from it until 5 s, and 0.0101 m at 6 s: the film below the lid, 0.022 m, is as thin as the kernel.
+The limit with the kernel of three cells is within 0.0003 m of this path at all times.  The path by N = 128
+is 0.0048 m from it until 5 s, and 0.0101 m at 6 s: the film below the lid, 0.022 m, is as thin as the kernel.
 """
 
 

@@ -1,4 +1,5 @@
-"""The whole scheme, as in the paper's proof: estimates, limits in turn, also in three dimensions."""
+"""The whole scheme, as in the paper's proof: estimates, and limits one after another, in three dimensions
+too."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
@@ -289,7 +290,8 @@ COUNTS = (8, 16, 32, 64)
 """Numbers of steps for tau -> 0; delta and epsilon go to zero with the second number."""
 
 LIMIT_SIZES = {"linearised": (1e-2, 1e-3, 1e-4), "finite": (1e-3, 1e-4, 1e-5)}
-"""Sizes of delta and epsilon; sqrt(delta) has to be small compared with moduli if the energy contains it."""
+"""Sizes of delta and epsilon; if the energy contains sqrt(delta), sqrt(delta) has to be small beside the
+moduli."""
 
 DELTA = EPSILON = 1e-2
 """Size of delta while tau goes to zero, and of epsilon while tau and delta go to zero."""
