@@ -7,7 +7,8 @@ once, from the term's form for one component.  All nonlinearity is in scalars on
     Hs = lifting(v, a),  s = P |Hs|^2,  c_s = P c(s) + facets,  S = P (c_s Hs),
 
 where P are the cellwise L2 projections.  Coefficients and penalty are evaluated by the term, at the points of
-the forms' rules.
+the forms' rules.  NGSolve's form takes 7 to 24 times as long (``tests/benchmarks/kernels.py``);
+``tests/solver/test_split_agrees.py`` compares solutions with those by the form.
 """
 
 from __future__ import annotations

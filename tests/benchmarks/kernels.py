@@ -55,8 +55,12 @@ def kernels(run: nv.Simulation) -> Ways:
     moving = [term for term in run.rothe_step.point_terms if term.impulse in ("Kinematics", "Upwinding")]
     size = len(at.cells.z.value)
     tangent = FacetTangent(residual, moving, range(size), sweep.coupling)
+    term, step = residual.couplings.of_kernel["hyperviscosity"][0], run.rothe_step
+    local = ["hess", "hess_square", "hyper_coefficient", "hyperstress"]
+    form = RestrictedForm(step, ["v", *step.layout.names_of("normals"), *local], [term])
     return {
-        "hyperviscosity": (
+        "hyperviscosity's rows": (lambda: residual.hyper(c["v"], c["a"], c["z"]), form.residual),
+        "hyperviscosity's derivative": (
             lambda: derivative(along),
             lambda: residual.hyper(c["v"] + h * dv, c["a"] + h * da, c["z"]).rows.imag / TINY,
         ),

@@ -45,7 +45,8 @@ def test_a_second_branch_has_a_row_of_ratios():
 def test_kernels_have_a_row_each():
     head, _, *table = kernels.rows([(2, 0.7)], 1)
     assert [row.split(" | ")[0] for row in table] == [
-        "| hyperviscosity",
+        "| hyperviscosity's rows",
+        "| hyperviscosity's derivative",
         "| transport",
         "| density",
         "| diffusion",

@@ -6,7 +6,7 @@ so that sums run at the speed of memory. The rows are B^T times the law's deriva
 a is eliminated, except on facets between ranks. On these facets each rank has one side, and a stays an
 unknown, so that the matrix is a sum over the ranks' cells.
 
-The derivative is written by hand since complex increments of the rows take 4 to 5 times as long
+The derivative is written by hand since complex increments of the rows take 3 to 5 times as long
 (``tests/benchmarks/kernels.py``); ``tests/solver/test_split_solver.py`` compares the derivative with the
 rows.
 """
