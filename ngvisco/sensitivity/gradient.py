@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -18,7 +17,7 @@ from ngvisco.sensitivity.adjoint import Adjoint
 from ngvisco.sensitivity.columns import Columns, tables_of
 from ngvisco.sensitivity.follower import Follower
 from ngvisco.sensitivity.numbers import Misfit, Numbers
-from ngvisco.sensitivity.parameters import AT_FIXED_STATES, OFFSETS, STEP, Named
+from ngvisco.sensitivity.parameters import AT_FIXED_STATES, OFFSETS, STEP, Named, varied
 from ngvisco.sensitivity.restart import Restart
 from ngvisco.sensitivity.slopes import Slopes
 from ngvisco.sensitivity.tangent import Neighbours, history, tangents
@@ -239,12 +238,8 @@ def _numbers(of: Sequence[str] | Mapping[str, str | Misfit], until: float, simul
 
 def _base(simulation: Simulation, names: Sequence[str]) -> Follower:
     """A follower with the run's parameters."""
-    tables = tables_of(simulation)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the original run has shown its warnings
-        worker = simulation.on(simulation.mesh, observers=(), passive=())
-    worker.set_velocity_scale(simulation.velocity_scale)
-    return Follower(worker, Columns(worker, names, tables))
+    worker = varied(simulation, {})
+    return Follower(worker, Columns(worker, names, tables_of(simulation)))
 
 
 def _parameters(by: Sequence[str], simulation: Simulation, method: str) -> list[Named]:
