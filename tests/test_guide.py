@@ -43,7 +43,7 @@ def copied(folder: Path) -> Path:
     """The sources that a program imports."""
     for name in ("ngvisco", "geometries", "tests/verification"):
         shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("pictures"))
-    for name in ("materials.py", "physics/test_material_laws.py"):
+    for name in ("materials.py", "flow_rules.py", "physics/test_material_laws.py"):
         (folder / "tests" / name).parent.mkdir(exist_ok=True)
         shutil.copy(ROOT / "tests" / name, folder / "tests" / name)
     return folder
