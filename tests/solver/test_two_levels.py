@@ -8,10 +8,12 @@ import scipy.sparse as sp
 
 import ngvisco as nv
 from ngvisco.algebra import factorised
-from ngvisco.algebra.factorised import MANY, DirectSolver, largest_eigenvalue
+from ngvisco.algebra.factorised import MANY, SMOOTHED, DirectSolver, TwoLevelSolver, largest_eigenvalue
 from ngvisco.errors import InputWarning, ParameterError
 from ngvisco.geometries import box, disc
 from ngvisco.parallel import petsc
+from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.exchange import Exchange
 from ngvisco.solver import options
 from ngvisco.solver.options import SplitOptions
 
@@ -30,6 +32,26 @@ def test_one_cell_s_eigenvalue_is_found_among_many(size):
     exact = np.linalg.eigvalsh(A.toarray() / np.outer(D, D)).max()
     assert exact > 3.7
     assert largest_eigenvalue(A) == pytest.approx(exact, rel=0.03)
+
+
+def test_sweeps_leave_what_a_polynomial_of_chebyshev_leaves():
+    """At most 1/T_3(9/7) of errors with eigenvalues of D^{-1} A in [largest/8, largest], and so much of
+    one."""
+    size = MANY // 2
+    turned = np.linalg.qr(np.random.default_rng(3).standard_normal((size, size)))[0]
+    A = turned @ np.diag(np.linspace(1.0, SMOOTHED, size)) @ turned.T
+    scale = 1 / np.sqrt(A.diagonal())
+    A = scale[:, None] * A * scale
+    eigenvalues, vectors = np.linalg.eigh(A)
+    none = np.zeros(size, dtype=bool)
+    solver = TwoLevelSolver(
+        ~none, none, none, lambda *_: DirectSolver(none), Exchange(size, {}, Communicator())
+    )
+    solver.factorise(sp.csr_matrix(A))
+    left = np.array([abs(e @ (e - solver._smoothed(A @ e))) for e in vectors.T])
+    reduced = eigenvalues > eigenvalues[-1] / SMOOTHED
+    bound = 1 / np.polynomial.chebyshev.chebval((SMOOTHED + 1) / (SMOOTHED - 1), [0, 0, 0, 1])
+    assert 0.95 * bound < left[reduced].max() < 1.05 * bound
 
 
 @pytest.mark.parametrize(("shift", "sizes"), [(1e-2, [4]), (1e-7, [4, 8])], ids=["single", "double"])
