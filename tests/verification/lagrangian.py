@@ -2,13 +2,15 @@
 disc.
 
 By symmetry the disc is one of two discs that meet.  Displacements u of order 2, on curved triangles of the
-half above the line of flight, in empty space, solve
+half above the line of flight, solve
 
     rho_0 dt v = Div P,  dt u = v,  P = psi'(F) + J D(L) F^{-T},  L = (Grad v) F^{-1},  F = I + Grad u,
 
 plane strain, psi = K/2 (J - 1)^2 + G/2 (J^{-2/3} tr F^T F - 3) per referential volume, D a Newtonian stress.
-The wall pushes with kappa times the depth by which a point of the rim is beyond it; each step conserves the
-sum of this spring energy and the disc's.  The time scheme is the implicit midpoint rule.
+The disc is in empty space, or in a weightless fluid in a closed box, with one pressure that follows from the
+fluid's area and U(J) = K/2 (J - 1)^2/J.  The wall pushes with kappa times the depth by which a point of the
+rim is beyond it; each step conserves the sum of this spring energy and the disc's.  The time scheme is the
+implicit midpoint rule.
 The code shares no line with the package.
 """
 
@@ -32,6 +34,7 @@ from ngsolve import (
     Inv,
     Mesh,
     Norm,
+    Parameter,
     Trace,
     VectorH1,
     ds,
@@ -39,7 +42,7 @@ from ngsolve import (
     x,
 )
 
-_CONVERGED, _MOST = 1e-11, 30
+_CONVERGED, _MOST = 1e-11, 60
 _PENALTY = 100.0
 """kappa over (K + G)/radius: a stress of a tenth of K + G makes a depth of a thousandth of the radius."""
 _STILL = 1e-12
@@ -57,16 +60,34 @@ class Disc:
     viscosity: float = 0.0
 
 
+@dataclass(frozen=True, kw_only=True)
+class Medium:
+    """A weightless fluid around the disc: its bulk modulus, Pa, and its area at rest, m^2."""
+
+    bulk: float
+    area: float
+
+
 class ThrownDisc:
     """The motion of a disc whose centre is at the origin at first.
 
     ``start`` is the velocity, m/s, mirrored about y = 0; ``gap`` the distance of the wall, on the right, m.
     Each step has a row of ``rows``: the time, s, and for the whole disc the momentum along x, kg/s, and the
-    kinetic, stored and penalty energies and the energy dissipated by viscosity so far, J/m.
+    kinetic, stored and penalty energies, the energy dissipated by viscosity so far, and that of the medium,
+    J/m.
     """
 
-    def __init__(self, disc: Disc, start: CF, gap: float, maxh: float, penalty: float = _PENALTY) -> None:
+    def __init__(
+        self,
+        disc: Disc,
+        start: CF,
+        gap: float,
+        maxh: float,
+        penalty: float = _PENALTY,
+        medium: Medium | None = None,
+    ) -> None:
         self.disc, self._time, self._dissipated = disc, 0.0, 0.0
+        self.medium, self._pressure = medium, Parameter(0.0)
         self.rows: list[tuple[float, ...]] = []
         self.mesh = mesh = _half(disc.radius, maxh)
         space = VectorH1(mesh, order=2, dirichlety="axis")
@@ -95,6 +116,7 @@ class ThrownDisc:
         for _ in range(round((until - self._time) / tau)):
             end.data = self.u.vec + tau * self.v.vec
             for _ in range(_MOST):
+                self._pressure.Set(self._of_medium(0.5 * (Grad(self._next) + Grad(self.u)))[0])
                 form.Apply(end, rows)
                 form.AssembleLinearization(end)
                 change.data = form.mat.Inverse(space.FreeDofs(), "umfpack") * rows
@@ -119,12 +141,23 @@ class ThrownDisc:
         velocity = (u - self.u) / tau
         inertia = 2 / tau * self.disc.density * InnerProduct(velocity - self.v, w)
         form += (inertia + power).Compile() * dx(bonus_intorder=4)
+        if self.medium is not None:
+            form += self._pressure * Det(F) * InnerProduct(Inv(F).trans, Grad(w)) * dx(bonus_intorder=4)
         before, after = self._beyond(self.u), self._beyond(u)
         moved = after * after - before * before  # over 2 (u - u_old): stored energy is exactly the work
         far = (u[0] - self.u[0]) * (u[0] - self.u[0]) - _STILL**2
         push = self._stiffness * IfPos(far, 0.5 * moved / (u[0] - self.u[0]), 0.5 * (before + after))
         form += (push * w[0]).Compile() * ds("rim", bonus_intorder=6)
         return form
+
+    def _of_medium(self, grad_u: CF) -> tuple[float, float]:
+        """The medium's pressure, Pa, and energy, J/m, at a displacement."""
+        if self.medium is None:
+            return 0.0, 0.0
+        grown = 2 * float(Integrate(Det(Id(2) + grad_u) - 1, self.mesh, order=8))
+        J = 1 - grown / self.medium.area
+        half = self.medium.bulk / 2
+        return half * (1 / J**2 - 1), half * self.medium.area * (J - 1) ** 2 / J
 
     def _power(self, tau: float) -> float:
         """The power dissipated by viscosity in both halves in the step, W/m."""
@@ -138,7 +171,8 @@ class ThrownDisc:
         stored = 2 * float(Integrate(self._stored(Id(2) + Grad(self.u)), self.mesh, order=8))
         depth = Integrate(self._beyond(self.u) ** 2 * ds("rim", bonus_intorder=6), self.mesh)
         of_wall = self._stiffness * float(depth)
-        self.rows.append((self._time, momentum, square / 2, stored, of_wall, self._dissipated))
+        _, of_medium = self._of_medium(Grad(self.u))
+        self.rows.append((self._time, momentum, square / 2, stored, of_wall, self._dissipated, of_medium))
 
 
 def restitution(rows: np.ndarray) -> float:

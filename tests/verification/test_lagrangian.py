@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 from scipy.special import j0, j1
 from support import by_ci
 
-from tests.verification.lagrangian import Disc, ThrownDisc, restitution
+from tests.verification.lagrangian import Disc, Medium, ThrownDisc, restitution
 
 DISC = Disc(radius=0.21, density=1.0, bulk=2.0, shear=1.0, viscosity=0.002)
 
@@ -41,8 +41,9 @@ def test_a_disc_breathes_at_its_own_frequency_and_decays(damping: float):
     assert rows[-1, 5] / rows[0, 2] == pytest.approx(1 - left, abs=5e-3)
 
 
-def test_a_bounce_keeps_energy_up_to_viscosity_and_time_steps():
-    run = ThrownDisc(DISC, CF((0.2, 0.0)), gap=0.01, maxh=0.2)
+@pytest.mark.parametrize("medium", [None, Medium(bulk=2.0, area=0.42)])
+def test_a_bounce_keeps_energy_up_to_viscosity_and_time_steps(medium: Medium | None):
+    run = ThrownDisc(DISC, CF((0.2, 0.0)), gap=0.01, maxh=0.2, medium=medium)
     rows = run.run(1.1, 0.05)
     total = rows[:, 2:].sum(axis=1)
     mass = math.pi * DISC.radius**2
@@ -53,3 +54,4 @@ def test_a_bounce_keeps_energy_up_to_viscosity_and_time_steps():
     assert (np.diff(rows[:, 5]) >= 0).all()
     assert rows[-1, 4] == 0.0  # the disc has left the wall
     assert rows[:, 4].max() < 0.05 * total[0]
+    assert (rows[:, 6].max() > 1e-3 * total[0]) == (medium is not None)
