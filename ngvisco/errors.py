@@ -66,7 +66,8 @@ class ParameterError(NgviscoError, ValueError):
         self.key = field
         # objects with Python's default text, such as NGSolve's functions, are shown by their class
         shown = re.sub(r"<(?:[\w.]+\.)?(\w+) object at 0x[0-9a-f]+>", r"<\1>", repr(value))
-        super().__init__(Words(Mention(field), f" = {shown}: expected ", self.expected))
+        said = value if value is None or isinstance(value, bool) else shown
+        super().__init__(Words(Mention(field), " = ", said, ": expected ", self.expected))
 
 
 class UnknownNameError(NgviscoError, KeyError):
@@ -188,10 +189,6 @@ def as_number(value: object) -> float | None:
     except OverflowError:  # an int beyond 1.8e308
         return None
     return number if math.isfinite(number) else None
-
-
-def _is_number(value: object) -> bool:
-    return as_number(value) is not None
 
 
 def as_integer(value: object) -> int | None:

@@ -24,7 +24,7 @@ from ngsolve import CoefficientFunction, Mesh
 from ngvisco.case.build import Case, parse_case
 from ngvisco.case.directory import RunDirectory, RunDirectoryError
 from ngvisco.case.faults import in_case
-from ngvisco.errors import CheckpointError, StepError
+from ngvisco.errors import CheckpointError, NgviscoError, StepError
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import distributed
 from ngvisco.parallel.petsc import require_petsc
@@ -196,7 +196,8 @@ def _go(
                 simulation.run(stop, [time for time in case.output_times(end) if time <= stop])
     except BaseException as error:
         with contextlib.suppress(OSError):  # a full disk may have ended the run
-            write(f"ended by {type(error).__name__}: {error}")
+            name = "" if isinstance(error, NgviscoError) else f"{type(error).__name__}: "
+            write(f"ended: {name}{in_case(error)}")
         if isinstance(error, StepError) and error.report is not None:
             with contextlib.suppress(OSError):
                 fields = write_failure(place.failure_file, place.failed_state, simulation, error.report)

@@ -246,12 +246,13 @@ def _ended(options: argparse.Namespace) -> int:
         where = f"{error.filename}: " if error.filename else ""
         return _say(f"{where}{error.strerror or error}", BAD_FILE)
     except Exception as error:
+        from ngvisco.case.faults import in_case
         from ngvisco.errors import CheckpointError, MeshError, NgviscoError, StepError
 
         if not isinstance(error, NgviscoError):
             raise  # a fault of the program: a report needs the traceback
         code = BAD_FILE if isinstance(error, (CheckpointError, MeshError)) else BAD_INPUT
-        message = "\n".join([str(error), *getattr(error, "__notes__", [])])
+        message = "\n".join([in_case(error), *getattr(error, "__notes__", [])])
         return _say(message, FAILED if isinstance(error, StepError) else code)
 
 
