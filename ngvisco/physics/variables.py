@@ -33,7 +33,7 @@ from typing import ClassVar, Literal, TypeAlias
 
 from ngsolve import CF, Cof, Det, log
 
-from ngvisco.errors import ParameterError, _is_number
+from ngvisco.errors import ParameterError, as_number
 from ngvisco.physics.tensors import IDENTITY, Tensor, skw, sym, tr
 
 Values = Mapping[str, Tensor]
@@ -159,7 +159,7 @@ class DistortionTensor(Variable):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not _is_number(self.exponent):
+        if as_number(self.exponent) is None:
             raise ParameterError(f"{type(self).__name__}.exponent", self.exponent, "a finite number")
 
     @staticmethod
