@@ -203,14 +203,15 @@ def test_names_of_python_in_a_message_are_keys_in_a_case(parts, in_python, in_a_
     assert Words(*parts) == in_python
     assert in_case(nv.InputWarning(Words(*parts))) == in_case(Words(*parts)) == in_a_case
     assert in_case(nv.ParameterError("Initial.F", 1, *parts)) == f"initial.F = 1: expected {in_a_case}"
-    assert (
-        in_case(nv.ParameterError("Initial.F", None, *parts)) == f"initial.F = nothing: expected {in_a_case}"
-    )
-    assert in_case(nv.ParameterError("until", True, *parts)) == f"time.until = true: expected {in_a_case}"
+    for value, word in ((None, "nothing"), (True, "true")):
+        error = nv.ParameterError("until", value, *parts)
+        assert in_case(error) == f"time.until = {word}: expected {in_a_case}"
 
 
 def test_truth_values_that_a_law_admits_are_words_of_a_case():
-    with pytest.raises(nv.ParameterError, match="Discretisation.sharp = 1: expected True or False") as caught:
+    with pytest.raises(
+        nv.ParameterError, match=r"Discretisation\.sharp = 1: expected True or False"
+    ) as caught:
         nv.Discretisation(sharp=1)
     assert in_case(caught.value) == "discretisation.sharp = 1: expected true or false"
 
