@@ -6,7 +6,7 @@ from typing import Literal
 
 from ngsolve import CoefficientFunction, FESpace, Mesh
 
-from ngvisco.errors import ParameterError, _is_number
+from ngvisco.errors import ParameterError, as_number
 from ngvisco.physics.material import StateSpace
 
 SpaceKind = Literal["velocity", "cells", "facets", "normals", "continuous", "walls"]
@@ -66,7 +66,7 @@ class Unknown:
         if self.evolves and self.place not in _IN_CELLS and self.on is None:
             expected = f"'cells' or 'continuous' for {self.name!r}, which evolves: it needs values in cells"
             raise ParameterError("Unknown.place", self.place, expected)
-        if not (_is_number(self.scale) and self.scale >= 0):
+        if not (as_number(self.scale) is not None and self.scale >= 0):
             raise ParameterError("Unknown.scale", self.scale, f"a size of {self.name!r}, >= 0, in its unit")
 
     @property

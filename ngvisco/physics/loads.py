@@ -11,7 +11,6 @@ from ngsolve import CF, CoefficientFunction, sqrt, x, y, z
 from ngvisco.errors import (
     ParameterError,
     Quantity,
-    _is_number,
     as_number,
     as_place,
     require_effect,
@@ -127,7 +126,7 @@ def as_vector(value: VectorLike, dim: int, field_name: str) -> CoefficientFuncti
             parts: tuple[Any, ...] = tuple(np.ravel(value) if is_matrix else value)
         except TypeError:
             raise ParameterError(field_name, value, f"a vector of length {dim}") from None
-        if not all(isinstance(p, CoefficientFunction) or _is_number(p) for p in parts):
+        if not all(isinstance(p, CoefficientFunction) or as_number(p) is not None for p in parts):
             raise ParameterError(field_name, value, "finite numbers or coefficient functions")
         vector = CF(tuple(p if isinstance(p, CoefficientFunction) else float(p) for p in parts) or 0.0)
     if vector.dim != dim:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from ngsolve import CoefficientFunction, Mesh
 
-from ngvisco.errors import NgviscoError, ParameterError, _is_number
+from ngvisco.errors import NgviscoError, ParameterError, as_number
 from ngvisco.run.fields import title_of
 from ngvisco.run.files import AnyPath, write_atomically
 from ngvisco.run.frames import Frame, cut, frame_of, outline, read_frame, read_series_files
@@ -119,7 +119,7 @@ class CrossSection:
     def __post_init__(self) -> None:
         if self.normal not in ("x", "y", "z"):
             raise ParameterError("section.normal", self.normal, "x, y or z")
-        if self.at is not None and not _is_number(self.at):
+        if self.at is not None and as_number(self.at) is None:
             raise ParameterError("section.at", self.at, "a finite number")
 
     @classmethod

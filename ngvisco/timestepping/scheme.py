@@ -28,7 +28,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ngvisco.errors import ParameterError, UnknownNameError, _is_number, as_numbers, require_collection
+from ngvisco.errors import ParameterError, UnknownNameError, as_number, as_numbers, require_collection
 
 _ROUNDING = 1e-12
 
@@ -167,7 +167,7 @@ def theta_scheme(theta: float) -> TimeScheme:
 
     Raises ParameterError unless 1/2 <= theta <= 1; below 1/2 the scheme is unstable, above 1 no theta scheme.
     """
-    if not (_is_number(theta) and 0.5 <= theta <= 1.0):
+    if not (as_number(theta) is not None and 0.5 <= theta <= 1.0):
         raise ParameterError("theta", theta, "a number in [1/2, 1]: 1/2 is midpoint, 1 backward-euler")
     return TimeScheme("theta", ((float(theta),),), (1.0,))
 

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 from ngsolve import BND
 
-from ngvisco.errors import MeshError, ParameterError, _is_number
+from ngvisco.errors import MeshError, ParameterError, as_number
 from ngvisco.forms.boundary.boundaries import axis_parallel_walls
 from ngvisco.forms.boundary.walls import Walls
 from ngvisco.forms.mesh.mesh_arrays import coordinates
@@ -33,7 +33,7 @@ def require_symmetry(symmetry: Symmetry, walls: Walls, model: Model, terms: Iter
     for load in model.loads:
         across = load.centre[0] if isinstance(load, CentralGravity) else 0.0
         if isinstance(load, Gravity) and isinstance(load.g, (tuple, list)):
-            across = load.g[0] if _is_number(load.g[0]) else 0.0
+            across = load.g[0] if as_number(load.g[0]) is not None else 0.0
         if across != 0:
             expected = "0 across the axis of an axisymmetric body"
             raise ParameterError(f"loads[{load.name!r}]", across, expected)
