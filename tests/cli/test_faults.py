@@ -359,7 +359,7 @@ def test_a_step_without_solution_ends_with_its_reason(case_file, tmp_path):
     assert code == FAILED and "no step of at least dt_min = 0.02 s" in err and "estimated error" in err
     assert rows(tmp_path / "out") == 2  # the first step has no estimate
     log = (tmp_path / "out" / "log.txt").read_text()
-    assert "rejected dt 0.02 s" in log and "ended by StepError" in log
+    assert "rejected dt 0.02 s" in log and "ended: no step of at least dt_min" in log
     report = tmp_path / "out" / "failed.txt"
     assert "step 2 over" in report.read_text() and str(report) in err
     assert (tmp_path / "out" / "failed.vtu").stat().st_size > 0
