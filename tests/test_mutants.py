@@ -1,4 +1,5 @@
-"""A wrong sign or factor of any term is seen by a test of the default suite (``mutants.py`` has the list)."""
+"""A wrong sign or factor of any term is seen by a test of the default suite or of CI (``mutants.py`` has the
+list)."""
 
 import pytest
 from mutants import MUTANTS, ROOT, copy_with, seen
