@@ -2,10 +2,11 @@
 [--before CHECKOUT] [--cells N ...] [--threads 1 2] [--steps N] [-o DIRECTORY]`` in the project's root.
 
 The rows of a mesh are the swirl of ``case``: by the code of another clone (``--before``), by this code with
-each number of threads, and, on tetrahedra, by ``lagrangian``, if a Python has petsc4py: this one, or
-``NGVISCO_PARALLEL_PYTHON``. Each row is a process of its own, and all are run one after the other. Seconds
-are those of a clock, in brackets those of the processors; compare them within one call only. The kinetic
-energy after the last step shows that all rows solve one problem; ``lagrangian`` has no hyperviscosity.
+each number of threads, and, on tetrahedra, by ``LagrangianSwirl`` with algebraic multigrid, if a Python has
+petsc4py: this one, or ``NGVISCO_PARALLEL_PYTHON``. Each row is a process of its own, and all are run one
+after the other. Seconds are those of a clock, in brackets those of the processors; compare them within one
+call only. The kinetic energy after the last step shows that all rows solve one problem; the Lagrangian solid
+has no hyperviscosity.
 """
 
 import argparse
@@ -68,9 +69,10 @@ def swirl(mesh: Any) -> tuple[Callable[[], tuple[int, int]], Callable[[], float]
 
 def lagrangian(mesh: Any) -> tuple[Callable[[], tuple[int, int]], Callable[[], float]]:
     """Start the Lagrangian code; return two functions like those of ``swirl``."""
-    from tests.benchmarks.lagrangian import LagrangianSwirl
+    from tests.benchmarks.multigrid import Multigrid
+    from tests.verification.lagrangian_swirl import LagrangianSwirl
 
-    run = LagrangianSwirl(mesh, 0.02)
+    run = LagrangianSwirl(mesh, 0.02, Multigrid)
 
     def step() -> tuple[int, int]:
         before = run.iterations, run.directions

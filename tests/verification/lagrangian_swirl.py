@@ -1,22 +1,22 @@
-"""The benchmark's swirl by another method: a mesh that moves with the solid, and algebraic multigrid.
+"""A swirl of an elastic solid in a box, by another method: a mesh moves with the solid.
 
-The displacement u of order 2, on the tetrahedra of the swirl's box, solves with backward Euler
+The displacement u of order 2, on tetrahedra, solves with backward Euler
 
     rho_0 (v - v_old) / tau = Div P + rho_0 g,  v = (u - u_old) / tau,  P = psi'(F) + J D(L) F^{-T},
 
 where F = I + Grad u, L = (Grad v) F^{-1}, psi is the neo-Hookean energy per referential volume of
-``nv.ReferentialNeoHookean``, D a Newtonian stress, and u n = 0 on all walls.  There is no hyperviscosity.
-Each iteration of Newton's method assembles the derivative, and solves with it by GMRES; the preconditioner is
-one cycle of PETSc's GAMG with the rigid motions as near-null space, whose interpolation is kept over the run.
-The code takes from the package only the mesh.
+``nv.ReferentialNeoHookean``, D a Newtonian stress, and u n = 0 on all walls of the unit box.  Newton's method
+assembles the derivative in each iteration.  The code takes from the package only the mesh.
 """
 
 from __future__ import annotations
 
-import itertools
-from typing import Any
+from collections.abc import Callable
+from typing import TypeAlias
 
 import numpy as np
+import scipy.sparse as sp
+import scipy.sparse.linalg as la
 from ngsolve import TET, IntegrationRule, Mesh
 
 DENSITY, BULK, SHEAR, VISCOSITY, GRAVITY = 1.0, 10.0, 10.0, 0.01, 1.0
@@ -24,19 +24,38 @@ DENSITY, BULK, SHEAR, VISCOSITY, GRAVITY = 1.0, 10.0, 10.0, 0.01, 1.0
 _EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
 _CONVERGED, _MOST = 1e-10, 20
 """Largest increment of u over the box that ends Newton's method, and its most iterations."""
-_LINEAR = 1e-3
-"""Relative tolerance of the linear systems."""
 _TINY = 1e-30
+
+Blocks: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Ends of rows, columns, and blocks of three unknowns of a node, (blocks, 3, 3)."""
+Solver: TypeAlias = Callable[[Blocks, np.ndarray], tuple[np.ndarray, int]]
+"""Solves with a matrix of blocks and a right-hand side; returns the solution and the number of iterations."""
+
+
+def factorised(blocks: Blocks, right: np.ndarray) -> tuple[np.ndarray, int]:
+    """Solve by a factorisation."""
+    ends, columns, values = blocks
+    matrix = sp.bsr_matrix((values, columns, ends), shape=(len(right),) * 2)
+    return la.splu(matrix.tocsc(), options={"SymmetricMode": True}, permc_spec="MMD_AT_PLUS_A").solve(
+        right
+    ), 1
 
 
 class LagrangianSwirl:
     """The motion of the solid in the unit box, by steps of ``tau``, s.
 
-    ``iterations`` and ``directions`` count those of Newton's method and of GMRES since the start.
+    ``iterations`` and ``directions`` count those of Newton's method and of the linear solver since the start.
     """
 
-    def __init__(self, mesh: Mesh, tau: float) -> None:
-        self._tau, self.iterations, self.directions = tau, 0, 0
+    def __init__(
+        self,
+        mesh: Mesh,
+        tau: float,
+        solver: Callable[[np.ndarray], Solver] = lambda _: factorised,
+        shear: float = SHEAR,
+    ) -> None:
+        """``solver`` makes the solver of the linear systems from the nodes' places at rest, (nodes, 3)."""
+        self._tau, self._shear, self.iterations, self.directions = tau, shear, 0, 0
         vertices = np.array([vertex.point for vertex in mesh.vertices])
         corners = np.array([[v.nr for v in cell.vertices] for cell in mesh.Elements()])
         pairs = np.sort(np.stack([corners[:, pair] for pair in _EDGES], axis=1), axis=2)
@@ -52,8 +71,8 @@ class LagrangianSwirl:
         self._free = np.minimum(self._nodes, 1 - self._nodes) > 1e-9
         products = np.einsum("qa,qb->qab", shapes, shapes).reshape(len(shapes), -1)
         self._masses = DENSITY * (fine @ products).reshape(-1, 10, 10)
+        self._solver = solver(self._nodes)
         self._matrix = _Matrix(self._cells, len(self._nodes), self._free)
-        self._solver = _Multigrid(self._nodes)
 
     @property
     def kinetic(self) -> float:
@@ -68,7 +87,7 @@ class LagrangianSwirl:
         inverse = cofactors / J  # F^{-T}
         power = J ** (-2 / 3)
         P = BULK * (J - 1) * cofactors
-        P += SHEAR * power * (F - (F * F).sum(axis=0) / 3 * inverse)
+        P += self._shear * power * (F - (F * F).sum(axis=0) / 3 * inverse)
         rate = ((F - before) / self._tau).reshape(3, 3, -1)
         L = np.einsum("ikp,jkp->ijp", rate, inverse.reshape(3, 3, -1))
         stress = VISCOSITY * (L + L.transpose(1, 0, 2))
@@ -173,8 +192,8 @@ class _Matrix:
         self._diagonal = np.flatnonzero(unique // nodes == unique % nodes)
         self._held = (~free).astype(float)
 
-    def assembled(self, elements: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Ends of rows, columns, and blocks."""
+    def assembled(self, elements: np.ndarray) -> Blocks:
+        """The matrix of all cells."""
         blocks = np.empty((len(self._columns), 3, 3))
         for i in range(3):
             for j in range(3):
@@ -182,45 +201,3 @@ class _Matrix:
                 blocks[:, i, j] = np.bincount(self._places, one.ravel(), len(blocks))
             blocks[self._diagonal, i, i] += self._held[:, i]
         return self._ends, self._columns, blocks
-
-
-class _Multigrid:
-    """GMRES with one cycle of GAMG."""
-
-    def __init__(self, nodes: np.ndarray) -> None:
-        import petsc4py
-
-        petsc4py.init(["lagrangian", "-pc_gamg_reuse_interpolation", "true"])
-        from petsc4py import PETSc
-
-        self._petsc, self._matrix = PETSc, None
-        coordinates = PETSc.Vec().createWithArray(nodes.ravel().copy(), bsize=3)
-        self._rigid = PETSc.NullSpace().createRigidBody(coordinates)
-        self._solver = PETSc.KSP().create()
-        self._solver.setType("gmres")
-        self._solver.setTolerances(rtol=_LINEAR, max_it=200)
-        self._solver.getPC().setType("gamg")
-        self._solver.setFromOptions()
-
-    def __call__(self, blocks: Any, right: np.ndarray) -> tuple[np.ndarray, int]:
-        """The solution and the number of iterations."""
-        ends, columns, values = blocks
-        size, module = len(right), self._petsc
-        if self._matrix is None:  # rows of the three unknowns of each node in turn
-            counts = np.diff(ends)
-            places = np.repeat(np.tile(np.arange(3), len(counts)), np.repeat(counts, 3))
-            order = np.concatenate([np.tile(np.arange(*pair), 3) for pair in itertools.pairwise(ends)])
-            self._order = order, places
-            wide = (3 * columns[order][:, None] + np.arange(3, dtype=np.int32)).ravel()
-            self._pattern = np.append(0, np.cumsum(np.repeat(3 * counts, 3))).astype(np.int32), wide
-            entries = values[order, places].ravel()
-            self._matrix = module.Mat().createAIJ((size, size), bsize=3, csr=(*self._pattern, entries))
-            self._matrix.setNearNullSpace(self._rigid)
-        else:
-            self._matrix.setValuesCSR(*self._pattern, values[self._order].ravel())
-            self._matrix.assemble()
-        self._solver.setOperators(self._matrix)
-        given = module.Vec().createWithArray(right)
-        solution = given.duplicate()
-        self._solver.solve(given, solution)
-        return solution.getArray().copy(), self._solver.getIterationNumber()
