@@ -35,7 +35,7 @@ def _eulerian(n: int) -> np.ndarray:
 
 
 def _lagrangian(n: int, shear: float = SHEAR) -> np.ndarray:
-    """The same energies by a mesh that moves with the solid."""
+    """Compute the same energies by a mesh that moves with the solid."""
     run = LagrangianSwirl(structured_box((1, 1, 1), (n, n, n)), TAU, shear=shear)
     energies = [run.kinetic]
     for _ in range(STEPS):
