@@ -50,6 +50,7 @@ from ngsolve import (
     z,
 )
 
+from ngvisco.algebra.local import Functions
 from ngvisco.forms.boundary.boundaries import cells_at, facet_indicator
 from ngvisco.forms.boundary.wall_terms import HELD_BY_WALLS
 from ngvisco.forms.entry_integrals import EntryIntegrals
@@ -103,8 +104,8 @@ class Impulses:
         self.on_sides: Callable[[], OnSides | None] = lambda: None
         """Function that returns arrays on the cells' sides, or None; with arrays the elastic force takes a
         fraction of the forms' time."""
-        self._levers: np.ndarray | None = None
-        """Products of e . n with the weights at the sides' points, (motions, points)."""
+        self._levers: Functions | None = None
+        """The functions e . n of the motions on the cells' sides."""
         test = self._space.TestFunction()
         self._groups = self._by_groups(step.now, self._tests(test, Grad(test)))
         internal = (ELASTIC, ENTERING, SKEW, CHANGE)
@@ -280,12 +281,15 @@ class Impulses:
         points, parts = sides
         if self._levers is None:
             along = [inner(e, self.step.context.normal) for e in self.motions.values()]
-            self._levers = np.array([points.weights * points.sample(arm) for arm in along])
+            arms = [points.sample(arm).reshape(points.sides, points.per_side) for arm in along]
+            self._levers = Functions.of(np.stack(arms, axis=1))
         totals: dict[str, np.ndarray] = {}
         for u, where in parts:
+            some = slice(where.start // points.per_side, where.stop // points.per_side)
+            levers, weights = self._levers.part(some), points.weights[where]
+            shape = some.stop - some.start, points.per_side, 1
             for name, values in self._elastic(u).items():
-                levers = self._levers[:, where]
-                force = levers @ np.broadcast_to(values, levers.shape[1])
+                force = levers.loads((weights * values).reshape(shape)).sum(axis=(0, 2))
                 totals[name] = totals[name] + force if name in totals else force
         return totals
 
