@@ -158,14 +158,15 @@ def backward_euler() -> TimeScheme:
 
 
 def midpoint() -> TimeScheme:
-    """The implicit midpoint rule: order 2, one solve a step, R = O(tau^3) of either sign; damps nothing."""
+    """The implicit midpoint rule: order 2, one solve a step, R = O(tau^3) of either sign, no damping."""
     return TimeScheme("midpoint", ((0.5,),), (1.0,))
 
 
 def theta_scheme(theta: float) -> TimeScheme:
     """The one-leg scheme U = rothe(u_0, theta tau), u_1 = u_0 + (U - u_0)/theta.
 
-    Raises ParameterError unless 1/2 <= theta <= 1; below 1/2 the scheme is unstable, above 1 no theta scheme.
+    Raises ParameterError unless 1/2 <= theta <= 1; for a smaller theta the scheme is unstable, and there is
+    none for a larger one.
     """
     if not (as_number(theta) is not None and 0.5 <= theta <= 1.0):
         raise ParameterError("theta", theta, "a number in [1/2, 1]: 1/2 is midpoint, 1 backward-euler")

@@ -192,7 +192,7 @@ class FlowRule(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class GradientRule(FlowRule):
-    """A rule that may have a gradient term, as it gives ``psi``.
+    """A rule with a ``psi``, which may have a gradient term.
 
     Parameters
     ----------

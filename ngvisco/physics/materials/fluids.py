@@ -129,7 +129,7 @@ class OldroydB(Material):
     Parameters
     ----------
     K_e : float
-        Bulk modulus.  0 is for branches of a network only.
+        Bulk modulus.  The value 0 is for branches of a network only.
     G_e : float
         Elastic modulus of shear: half the usual shear modulus.
     J_min : float, optional

@@ -25,7 +25,7 @@ class Gent(IsotropicElastic):
     Parameters
     ----------
     K_e : float
-        Bulk modulus.  0 is for branches of a network only.
+        Bulk modulus.  The value 0 is for branches of a network only.
     J_m : float
         Largest |H|^2 - 3, at which the chains are fully stretched: some 30 to 100 for rubber.
     J_min : float, optional

@@ -232,7 +232,8 @@ class ReferentialNeoHookean(IsotropicElastic):
     Parameters
     ----------
     K_e : float
-        Modulus; the bulk modulus is K_e + kappa (kappa + 1) epsilon.  0 is for branches without epsilon.
+        Modulus; the bulk modulus is K_e + kappa (kappa + 1) epsilon.  The value 0 is for branches
+        without epsilon.
     epsilon : float
         Weight of the term epsilon/J^kappa per referential volume, which is singular at J = 0.
     kappa : float

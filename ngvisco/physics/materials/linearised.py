@@ -25,7 +25,7 @@ class LinearElastic(Material):
     Parameters
     ----------
     K_e : float
-        Elastic bulk modulus.  0 is for branches of a network only.
+        Elastic bulk modulus.  The value 0 is for branches of a network only.
     G_e : float
         Elastic shear modulus.
     """

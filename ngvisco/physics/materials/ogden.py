@@ -115,7 +115,7 @@ class Ogden(Material):
         Variables by the distortion "F", or by "B" = F F^T.  The default is "B" if there is creep or m = 0,
         and if all |alpha_p| >= 2; else it is "F".
     K_e : float
-        Bulk modulus.  0 is for branches of a network only.
+        Bulk modulus.  The value 0 is for branches of a network only.
     mu : tuple of float
         Moduli mu_p, with the signs of alpha_p.
     alpha : tuple of float
