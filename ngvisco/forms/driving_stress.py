@@ -378,5 +378,5 @@ def _stiffness(mechanism: CreepMechanism, rates: TabulatedRates) -> float:
     creep = slice(first, first + rates.creep_space.size)
     columns = rates.columns(values_at_rest.T)[0]
     _, of_stress = rates.slopes(values_at_rest.T, np.zeros((columns.shape[1], 1)), response.slope.T)
-    force = of_stress[creep, :, 0] + columns[:, creep].T @ response.hessian[0]
+    force = of_stress[0, creep] + columns[:, creep].T @ response.hessian[0]
     return float(np.trace(force @ columns[:, creep])) / rates.creep_space.size

@@ -327,25 +327,26 @@ class TabulatedRates(Rates):
     def slopes(
         self, z: np.ndarray, X: np.ndarray, zeta: np.ndarray, openings: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives d rate/dz, (n, n, points), and d^2(zeta : rate)/dX dz, (X, n, points)."""
+        """Derivatives d rate/dz, (points, n, n), and d^2(zeta : rate)/dX dz, (points, X, n)."""
         of_rate, of_stress = self.tensors.rate_slope(X), self.tensors.stress_slope(zeta)
         if self.weighed is not None:
             (weights, parted), shared = self.weights(z), self.weighed.columns(z)
-            of_rate += weights[:, None] * self.weighed.rate_slope(X)
+            of_rate += weights.T[:, :, None] * self.weighed.rate_slope(X)
             of_stress += self.weighed.stress_slope(weights * zeta)
             by_z, parted_by_z = np.empty_like(of_rate), np.empty_like(of_rate)
             for m, along in enumerate((TINY * 1j) * np.eye(len(z))):
                 changed = self.weights(z + along[:, None])
-                by_z[:, m], parted_by_z[:, m] = (values.imag / TINY for values in changed)
-            of_rate += by_z * self.weighed.rate(z, X)[:, None]
-            of_stress += np.einsum("pnx,nmp,np->xmp", shared, by_z, zeta)
+                by_z[:, :, m], parted_by_z[:, :, m] = (values.imag.T / TINY for values in changed)
+            of_rate += by_z * self.weighed.rate(z, X).T[:, :, None]
+            of_stress += np.einsum("pnx,pnm,np->pxm", shared, by_z, zeta)
             if openings is not None:
                 opened = self._opening(X, openings)
-                of_rate -= parted[:, None] * self.weighed.rate_slope(opened)
-                of_rate -= parted_by_z * self.weighed.rate(z, opened)[:, None]
-                of_stress -= self._opened(self.weighed.stress_slope(parted * zeta), openings)
+                of_rate -= parted.T[:, :, None] * self.weighed.rate_slope(opened)
+                of_rate -= parted_by_z * self.weighed.rate(z, opened).T[:, :, None]
+                slopes = self.weighed.stress_slope(parted * zeta)
+                of_stress -= self._opened(slopes.transpose(1, 2, 0), openings).transpose(2, 0, 1)
                 columns = self._opened(shared.T, openings).T
-                of_stress -= np.einsum("pnx,nmp,np->xmp", columns, parted_by_z, zeta)
+                of_stress -= np.einsum("pnx,pnm,np->pxm", columns, parted_by_z, zeta)
         return of_rate, of_stress
 
     def _opening(self, X: np.ndarray, openings: np.ndarray) -> np.ndarray:

@@ -118,6 +118,8 @@ class PointTerm:
         Name of the wall on which alone the term acts.
     facet_mean : str or None
         Name of the mean of both sides that the term determines.
+    mean_of : str or None
+        Name of the unknown in cells of which ``facet_mean`` is the mean; None for other functions.
     stays : bool
         Whether this mean is the largest value of all iterates in the solution of a step (``Largest``); its
         derivative has to be zero.
@@ -138,6 +140,7 @@ class PointTerm:
     group: ClassVar[str | None] = None
     wall: str | None = None
     facet_mean: str | None = None
+    mean_of: ClassVar[str | None] = None
     stays: ClassVar[bool] = False
     is_mass: ClassVar[bool] = False
     weighs: ClassVar[bool] = False
@@ -184,6 +187,14 @@ class PointTerm:
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         """Summands to be integrated over the cells."""
         return []
+
+    def degree(self, k: int, m: int, rates: Any) -> int | None:
+        """Polynomial degree of ``cells`` on straight cells, for orders k of v and m of the fields.
+
+        None if the integrands are no polynomials, or read data other than the old fields.  The split solver
+        takes a rule of this degree.
+        """
+        return None
 
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         """Summands to be integrated over the boundaries of all cells, both sides of an inner facet."""

@@ -124,8 +124,8 @@ class RateTensors:
 
     def columns(self, z: np.ndarray) -> np.ndarray:
         """d rate/dX, (points, n, X), at values z, (n, points)."""
-        of_linear = np.ascontiguousarray((self._slopes[2] @ z).T)
-        return of_linear.reshape(z.shape[1], *self.constant.T.shape) + self.constant.T
+        with_one = np.concatenate([z, np.ones((1, z.shape[1]), z.dtype)])
+        return self._scattered(2, with_one, self.constant.T.shape)
 
     def rate(self, z: np.ndarray, X: np.ndarray, first: int = 0) -> np.ndarray:
         """rate(z; X), (n, points), for X (X, points), whose first entry has the index ``first``."""
@@ -159,13 +159,19 @@ class RateTensors:
             target += product
 
     def rate_slope(self, X: np.ndarray) -> np.ndarray:
-        """d rate(z; X)/dz, (n, n, points), for X (X, points)."""
-        size = self.linear.shape[1]
-        return (self._slopes[0] @ X).reshape(size, size, -1)
+        """d rate(z; X)/dz, (points, n, n), for X (X, points)."""
+        return self._scattered(0, X, self.linear.shape[1:])
 
     def stress_slope(self, zeta: np.ndarray) -> np.ndarray:
-        """d^2(zeta : rate)/dX dz, (X, n, points)."""
-        return (self._slopes[1] @ zeta).reshape(*self.linear.shape[:2], -1)
+        """d^2(zeta : rate)/dX dz, (points, X, n), for zeta (n, points)."""
+        return self._scattered(1, zeta, self.linear.shape[:2])
+
+    def _scattered(self, number: int, values: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+        """The product of one of ``_slopes`` with values, (., points), as matrices, (points, *shape)."""
+        rows, matrix = self._slopes[number]
+        result = np.zeros((values.shape[1], shape[0] * shape[1]), values.dtype)
+        result[:, rows] = (matrix @ values).T
+        return result.reshape(values.shape[1], *shape)
 
     def _entries_within(self, first: int, stop: int) -> list[list[tuple[tuple[int, ...], float]]]:
         """Indices and values of the non-zero entries of C and of T with x in first ... stop - 1."""
@@ -182,10 +188,18 @@ class RateTensors:
         return {}
 
     @cached_property
-    def _slopes(self) -> tuple[sp.csr_matrix, ...]:
-        """T as sparse matrices: from X to (n, m), from n to (X, m), and from m to (n, X)."""
-        by_X, by_zeta, by_z = (self.linear.transpose(axes) for axes in ((1, 2, 0), (0, 2, 1), (1, 0, 2)))
-        return tuple(sp.csr_matrix(A.reshape(-1, A.shape[2])) for A in (by_X, by_zeta, by_z))
+    def _slopes(self) -> tuple[tuple[np.ndarray, sp.csr_matrix], ...]:
+        """T as sparse matrices: from X to (n, m), from n to (X, m), and with C from (m, 1) to (n, X).
+
+        Each has the numbers of its rows that are not zero, and these rows."""
+        by_X, by_zeta = (self.linear.transpose(axes) for axes in ((1, 2, 0), (0, 2, 1)))
+        by_z = np.concatenate([self.linear.transpose(1, 0, 2), self.constant.T[:, :, None]], axis=2)
+        result = []
+        for A in (by_X, by_zeta, by_z):
+            flat = A.reshape(-1, A.shape[2])
+            rows = np.flatnonzero(flat.any(axis=1))
+            result.append((rows, sp.csr_matrix(flat[rows])))
+        return tuple(result)
 
 
 def _differ(a: np.ndarray, b: np.ndarray) -> bool:

@@ -7,6 +7,7 @@ If two ranks share a facet, each of them has one side, and both sides' contribut
 from __future__ import annotations
 
 from copy import copy
+from math import prod
 from typing import Any, Self
 
 import numpy as np
@@ -178,7 +179,7 @@ class FacetMass:
 
     def solve(self, loads: np.ndarray) -> np.ndarray:
         """Multiply ``loads`` (..., unknowns) by the inverse."""
-        result = np.zeros_like(loads)
-        local = loads[..., self.unknowns][..., None]
-        result[..., self.unknowns] = (self.inverses @ local)[..., 0]
-        return result
+        columns = loads.reshape(prod(loads.shape[:-1]), loads.shape[-1]).T
+        result = np.zeros(columns.shape, loads.dtype)
+        result[self.unknowns] = np.matmul(self.inverses, columns[self.unknowns])
+        return np.ascontiguousarray(result.T).reshape(loads.shape)

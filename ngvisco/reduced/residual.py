@@ -19,7 +19,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import scipy.sparse as sp
-from ngsolve import BilinearForm, FESpace, Grad, GridFunction, LinearForm, ZeroCF
+from ngsolve import BilinearForm, FESpace, Grad, GridFunction, ZeroCF
 from ngsolve.la import PARALLEL_STATUS
 
 from ngvisco.algebra.sparse import apply, inverse_of_blocks, mass_matrix
@@ -28,7 +28,7 @@ from ngvisco.forms.fields import Fields, Tests
 from ngvisco.forms.mesh.mesh_arrays import mask_of
 from ngvisco.forms.mesh.points import csr
 from ngvisco.forms.system import Step
-from ngvisco.forms.term import CellMean, GivenParts, Integrand, PointTerm, Term, WithheldError
+from ngvisco.forms.term import CellMean, PointTerm, Term
 from ngvisco.forms.upwinding import mean_share
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.physics.arrays import TINY, Array
@@ -39,6 +39,7 @@ from ngvisco.reduced.hyperviscosity import HyperValues, MatrixHyperviscosity
 from ngvisco.reduced.operators import FacetMass, Operators, SideOperators
 from ngvisco.reduced.point_fields import NotAtPointsError
 from ngvisco.reduced.slope import PointwiseSlope
+from ngvisco.reduced.source import RightHandSide
 from ngvisco.reduced.unknowns import Unknowns
 from ngvisco.threads import Workers
 
@@ -86,40 +87,6 @@ class RestrictedForm:
         return csr(self.form.mat)
 
 
-class RightHandSide:
-    """The rows of a step's source, packed like the unknowns; they are added to the residual.
-
-    Raises WithheldError for a source that depends on unknowns, or tests an unknown that is not iterated.
-    """
-
-    def __init__(self, step: Step) -> None:
-        assert step.sources is not None
-        names = Unknowns(step).names
-        space = FESpace([step.layout.blocks[name] for name in names])
-        u = GivenParts(
-            {}, "a source takes the unknown {name}, which the split solver does not know beforehand"
-        )
-        tests = dict(zip(names, space.TestFunction(), strict=True))
-        w = GivenParts(tests, "a source has a row of {name}, which the split solver does not iterate on")
-        self._form = LinearForm(space)
-        integrands: list[Integrand] = step.sources.form(Fields(step.layout, u), Tests(step.layout, w))
-        step.quadrature.add(self._form, integrands)
-
-    def start(self) -> None:
-        """Assemble the rows for the present step."""
-        self.rows = self._form.Assemble().vec.FV().NumPy().copy()
-
-
-def source_obstacle(step: Step) -> str | None:
-    """The reason why the step's source cannot be assembled before the iteration, or None."""
-    try:
-        if step.sources is not None:
-            RightHandSide(step)
-    except WithheldError as error:
-        return str(error)
-    return None
-
-
 @dataclass
 class Evaluation:
     """The residual at one set of iterated unknowns, and the quantities that it was computed from."""
@@ -141,8 +108,9 @@ class Evaluation:
         return self.terms[1].fields(self.coefficients)
 
 
-PartFields: TypeAlias = tuple[Fields, Fields]
-"""Values at the points of some cells, and of their sides; each is computed at its first access."""
+PartFields: TypeAlias = tuple[Fields, Fields, Fields]
+"""Values at the points of some cells, of their sides, and at the points of ``ReducedResidual.carried``; each
+is computed at its first access."""
 
 
 class CellPart:
@@ -151,10 +119,12 @@ class CellPart:
     def __init__(self, residual: ReducedResidual, cells: slice) -> None:
         self.cells, self.residual = cells, residual
         self.inside, self.sides = residual.cell_terms.part(cells), residual.facet_terms.part(cells)
+        self.carried = residual.carried_terms.part(cells)
 
     def fields(self, c: Coefficients) -> PartFields:
-        """Fields at the points of the cells and at the points of their sides, from the coefficients ``c``."""
-        return self.inside.fields(c), self.sides.fields(c)
+        """Fields at the points of the cells, of their sides and of the polynomials' rule, from the
+        coefficients ``c``."""
+        return self.inside.fields(c), self.sides.fields(c), self.carried.fields(c)
 
     def mean(self, at: PartFields, term: CellMean) -> np.ndarray:
         """Means over the cells, (components, cells), or (cells,) for a scalar."""
@@ -171,10 +141,13 @@ class CellPart:
 
     def loads(self, at: PartFields, hyper: HyperValues | None) -> tuple[Rows, Rows]:
         """Loads of all terms that are evaluated at points: in the cells, and on their sides."""
-        terms, (inside, s) = self.residual.at_points, at
+        residual, (inside, s, carried) = self.residual, at
         if hyper is not None:
             s.__dict__["jump"] = Array(hyper.jumps[:, self.sides.op.places], None)
-        return self.inside.loads(terms, inside), self.sides.loads(terms, s)
+        rows = self.inside.loads(residual.others, inside)
+        for name, loads in self.carried.loads(residual.carried, carried).items():
+            rows[name] = rows[name] + loads if name in rows else loads
+        return rows, self.sides.loads(residual.at_points, s)
 
 
 def parts_of(cells: int, points: int) -> list[slice]:
@@ -236,6 +209,7 @@ class ReducedResidual:
             term = couplings.of_kernel["diffusion"][0]
             self.diffusion = FieldDiffusionRows(step, self.op, self.slope, term, self.trace_mass)
         self.at_points = [*couplings.at_points, *couplings.continuity]
+        self._divide(step)
         means = couplings.of_kernel["facet means"]
         self.means_of_sides: list[tuple[PointTerm, str]] = [(term, term.name) for term in means]
         """Equations of facet means and the names of their unknowns, in the order of solution."""
@@ -243,9 +217,28 @@ class ReducedResidual:
         orders = {step.layout.unknowns[name].order: name for _, name in self.means_of_sides}
         self._masses = {order: self._mass_of_traces(exchange, name) for order, name in orders.items()}
         self._masses[step.layout.unknowns["z_hat"].order] = self.trace_mass
+        self._fixed_means = {
+            name: of for term, name in self.means_of_sides if (of := self._mean_of(term, name))
+        }
+        """Names of the unknowns in cells whose means are facet unknowns, by these, and matrices of the
+        loads."""
         cells = step.mesh.ne
         ranges = parts_of(cells, self.op.points.per_cell) if self.slope.is_local else [slice(0, cells)]
         self.parts = [CellPart(self, cell_range) for cell_range in ranges]
+
+    def _divide(self, step: Step) -> None:
+        """Set the terms ``carried``, polynomials for which a rule of fewer points is exact, and the
+        ``others``."""
+        k, m, whole = step.discretisation.k, step.discretisation.m, step.quadrature.volume_degree // 2
+        self.carried, self.others, orders = list[PointTerm](), list[PointTerm](), [1]
+        for term in self.at_points:
+            degree = term.degree(k, m, self.rates) if step.quadrature.has_constant_weights else None
+            if degree is not None and (order := -(-degree // 2)) < whole:
+                self.carried.append(term)
+                orders.append(order)
+            else:
+                self.others.append(term)
+        self.carried_terms = CellTerms(step, Operators(step, max(orders), self.op), self.rates)
 
     def _mass_of_traces(self, exchange: Exchange, name: str) -> FacetMass:
         """The mass matrix of facet means with the polynomial order of the unknown ``name``."""
@@ -254,9 +247,18 @@ class ReducedResidual:
         mass.update(self.side_op.weights * mean_share(self.side_op.inner))
         return mass
 
+    def _mean_of(self, term: PointTerm, name: str) -> tuple[str, sp.csr_matrix] | None:
+        """The unknown in cells whose mean the term determines, and the matrix of the mean's loads."""
+        if (of := term.mean_of) is None:
+            return None
+        op = self.side_op
+        weights = sp.diags(op.weights * mean_share(op.inner))
+        return of, (op.of(name).matrix.T @ weights @ op.of(of).matrix).tocsr()
+
     def start(self) -> None:
         """Evaluate the data that are constant during the step."""
         self.cell_terms.context.sampled.start()
+        self.carried_terms.context.sampled.start()
         if self.collocated_terms is not None:
             self.collocated_terms.context.sampled.start()
         self.facet_terms.context.start()
@@ -372,9 +374,13 @@ class ReducedResidual:
         slopes = joined(lambda part, u: part.inside.op.z.loads(self.slope(u[0].z.value)))
         c["zeta"] = apply(self.inverse_mass, slopes)
         for term, name in self.means_of_sides:
+            mass = self.mass_of(name)
+            if (means := self._fixed_means.get(name)) is not None:
+                of, matrix = means
+                c[name] = mass.solve(mass.exchange.sum(apply(matrix, c[of])))
+                continue
             loads = joined(lambda part, u, *of: part.sides.loads_of(*of, u[1]), term, name)
-            mass, values = self.mass_of(name), self.side_op.of(name)
-            c[name] = -mass.solve(mass.exchange.sum(values.summed(loads)))
+            c[name] = -mass.solve(mass.exchange.sum(self.side_op.of(name).summed(loads)))
             if term.stays:
                 c[name] = self.step.local_unknowns.largest(name, c[name].real)
         for mean in self.couplings.of_kernel["cell means"]:

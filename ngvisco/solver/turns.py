@@ -13,7 +13,7 @@ from ngvisco.forms.mesh.mesh_arrays import is_simplicial
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.reduced.declared import term_obstacle
-from ngvisco.reduced.residual import source_obstacle
+from ngvisco.reduced.source import source_obstacle
 from ngvisco.solver.options import NewtonOptions
 
 WAIT = 16

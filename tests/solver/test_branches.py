@@ -40,11 +40,19 @@ def test_a_cell_is_inverted_branch_by_branch():
     run, _, _, operator = evaluated(network())
     points, cells = operator.points, slice(0, run.mesh.ne)
     assert [len(group) for group in points._groups(cells)] == [5, 5, 5]  # four components, and J
-    resolvent, tested = points._resolvent(cells), points.tested(cells, np.arange(points.components))
+    resolvent, (tested,) = points._resolvent(cells), points.tested(cells, [np.arange(points.components)])
     assert np.abs(tested).max() > 0.05
-    expected = np.linalg.inv(np.eye(tested.shape[1]) - tested)
-    assert np.abs(resolvent - expected).max() <= 3e-4  # the series leaves 1e-4
-    assert points._resolvent(slice(0, 0)).shape == (0, *expected.shape[1:])  # a rank may have no cells
+    count, size, n = *tested.shape[:2], points.components
+    expected = np.linalg.inv(np.eye(size) - tested)
+    rows = np.broadcast_to(np.eye(size).reshape(size, -1, n).swapaxes(0, 1), (count, size // n, size, n))
+    found = np.empty_like(expected)
+    resolvent.after(rows, found)
+    assert np.abs(found - expected).max() <= 3e-4  # the series leaves 1e-4
+    dz = np.random.default_rng(1).standard_normal((count, size // n, n))
+    assert np.abs(resolvent(dz) - (expected @ dz.reshape(count, size, 1)).reshape(dz.shape)).max() <= 3e-3
+    empty = points._resolvent(slice(0, 0))  # a rank may have no cells
+    empty.after(rows[:0], found[:0])
+    assert empty(dz[:0]).shape == (0, *dz.shape[1:])
 
 
 def test_branches_that_feel_each_other_are_inverted_together():

@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 from ngsolve import CoefficientFunction
 
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.rates import Conjugate
+from ngvisco.forms.rates import Conjugate, TabulatedRates
 from ngvisco.forms.term import ELASTIC, Entry, Integrand, Integrands, PointTerm, tested
 from ngvisco.forms.terms.tangents import TangentForce
 from ngvisco.forms.unknown import Setting, Unknown
@@ -49,6 +49,12 @@ def transport_in_cells(along: Fields, u: Fields, G: Fields, name: Conjugate) -> 
         inner(grad_G * along.v, masked(u.z, by_flux)),
         *rates,
     ]
+
+
+def degree_of_transport(k: int, m: int, rates: TabulatedRates) -> int | None:
+    """Polynomial degree of B_h(w; z, G) in cells; None if rates are no products of z and grad w."""
+    is_bilinear = rates.weighed is None and not rates.constants.nonlinear_variables
+    return k - 1 + 2 * m if is_bilinear else None
 
 
 def transport_through_facets(along: Fields, u: Fields, G: Fields, name: Conjugate) -> CoefficientFunction:
@@ -85,6 +91,13 @@ class Kinematics(PointTerm):
         if c.rates.mechanisms and not c.rates.creep_is_collocated:
             parts += self._creep(u, w)
         return [c.rate(inner(u.z - c.old.z, w.z)), *parts]
+
+    def degree(self, k: int, m: int, rates: TabulatedRates) -> int | None:
+        of_transport = degree_of_transport(k, m, rates)
+        if of_transport is None or not rates.mechanisms or rates.creep_is_collocated:
+            return of_transport
+        is_linear = all(f.rule.is_linear and f.body is None for f in rates.mechanisms)
+        return max(of_transport, 4 * m) if is_linear else None  # z : zeta gives M, and Pi is a multiple of M
 
     def collocated(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         return self._creep(u, w) if u.context.rates.creep_is_collocated else []
@@ -123,7 +136,7 @@ class Kinematics(PointTerm):
 class Trace(FacetMean):
     """Equation of the trace, the mean of both sides: sum_K int_{dK} share (z_hat - z) : G_hat = 0."""
 
-    name = "z_hat"
+    name, mean_of = "z_hat", "z"
 
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
         return (Unknown(self.name, "facets", setting.m, setting.states.size, trace_of="z"),)
@@ -208,6 +221,9 @@ class ElasticForce(PointTerm):
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         return transport_in_cells(w, u, u, "zeta")
+
+    def degree(self, k: int, m: int, rates: TabulatedRates) -> int | None:
+        return degree_of_transport(k, m, rates)
 
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         return [transport_through_facets(w, u, u, "zeta")]

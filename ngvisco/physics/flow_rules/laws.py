@@ -93,6 +93,10 @@ class Creep(GradientRule):
         """Reciprocal creep modulus 1/G_m, 1/(Pa s); of the typical value if G_m is an expression."""
         return 1 / typical_value(self.G_m)
 
+    @property
+    def is_linear(self) -> bool:
+        return isinstance(self.G_m, float)
+
     def rate(self, M: Tensor, zeta: Tensor | None, z: Values) -> Tensor:
         R = 1 / value_at(self.G_m, z)
         if self.law == "mandel":

@@ -153,6 +153,11 @@ class FlowRule(ABC):
         return True
 
     @property
+    def is_linear(self) -> bool:
+        """Whether Pi is linear in M and zeta, with constant coefficients: ``rate`` reads nothing else."""
+        return False
+
+    @property
     def is_local(self) -> bool:
         """Whether Pi is a function of the values at a point, so that it needs no field."""
         return self.nu == 0 or not self.flows

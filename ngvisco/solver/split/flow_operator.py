@@ -121,16 +121,15 @@ class FlowSchurComplement:
             force, slopes = np.concatenate([of_values, force], axis=1), shapes
         left = np.matmul(slopes.transpose(0, 2, 1), force.reshape(count, slopes.shape[1], d * n))
         back = np.matmul(z_tests, left.reshape(cells, per, local * d * n))
-        back = back.reshape(cells, q, local * d, n).transpose(0, 2, 1, 3).reshape(cells, local * d, q * n)
+        back = back.reshape(cells, q, local * d, n)
         for of_z, of_mean in self.points.of_means(p):  # rows of v also depend on z through means over cells
             size = of_z.shape[1]
             tested = shapes[:, 0, :, None, None] * (of_mean * op.weights[:, None, None])[:, None]
             rows = tested.reshape(cells, per, local * d, size).sum(axis=1)
             means = np.matmul(z_tests, of_z.reshape(cells, per, size * n)).reshape(cells, q, size, n)
-            means = means.transpose(0, 2, 1, 3).reshape(cells, size, q * n)
-            means /= op.weights.reshape(cells, per).sum(axis=1)[:, None, None]
-            back = back + precision.single(np.matmul(rows, means))
-        np.matmul(precision.single(back), precision.single(p.resolvent), out=self.from_fields[where])
+            means /= op.weights.reshape(cells, per).sum(axis=1)[:, None, None, None]
+            back = back + precision.single(np.matmul(rows[:, None], means))
+        p.resolvent.astype(precision.SINGLE).after(precision.single(back), self.from_fields[where])
 
     def _mass(self, part: CellPart, at: Evaluation) -> np.ndarray:
         """The mass matrix of one component of v, (cells, local, local)."""

@@ -12,14 +12,14 @@ contribute to K at their points.
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ngvisco.algebra import precision
+from ngvisco.algebra.resolvent import Resolvent, resolvents
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import PointTerm
 from ngvisco.physics.arrays import Array
@@ -28,9 +28,6 @@ from ngvisco.reduced.operators import Operators
 from ngvisco.reduced.point_fields import TOGETHER, derivative_of, incremented, repeated, repeated_along
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.reduced.slope import PointwiseSlope
-
-_NEGLECTED = 1e-4
-"""Remainder at which the series of the resolvents is truncated."""
 
 
 class _AtPoints:
@@ -70,19 +67,22 @@ class _AtPoints:
         """Numbers of the points in some cells."""
         return slice(self.op.z.per_cell * cells.start, self.op.z.per_cell * cells.stop)
 
-    def tested(self, cells: slice, some: np.ndarray) -> np.ndarray:
-        """tau P K for the coefficients of some cells and of ``some`` n components, (cells, q n, q n)."""
-        z, where, n = self.op.z.part(cells), self._places(cells), len(some)
-        K = self.rate_slope[where]
-        K = K if n == self.components else K[:, some[:, None], some]
-        values = self.tau * K.reshape(z.cells, z.per_cell, n * n)
+    def tested(self, cells: slice, groups: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """tau P K for the coefficients of some cells and of each group of n components, (cells, q n, q n)."""
+        z = self.op.z.part(cells)
+        values = self.tau * self.rate_slope[self._places(cells)]
         kind = np.float64 if abs(values).max(initial=0.0) > 1 else precision.SINGLE
         # values at the points, times each basis function, are projected onto the basis
         by_points = self._projection[cells][:, :, None] * z.blocks.swapaxes(1, 2)[:, None]
-        by_points = by_points.reshape(z.cells, z.local**2, z.per_cell)
-        tested = by_points.astype(kind) @ values.astype(kind)
-        tested = tested.reshape(z.cells, z.local, z.local, n, n).transpose(0, 1, 3, 2, 4)
-        return tested.reshape(z.cells, z.local * n, z.local * n)
+        by_points = by_points.reshape(z.cells, z.local**2, z.per_cell).astype(kind)
+        results = []
+        for some in groups:
+            n = len(some)
+            K = values if n == self.components else values[:, some[:, None], some]
+            tested = by_points @ K.reshape(z.cells, z.per_cell, n * n).astype(kind)
+            tested = tested.reshape(z.cells, z.local, z.local, n, n).transpose(0, 1, 3, 2, 4)
+            results.append(tested.reshape(z.cells, z.local * n, z.local * n))
+        return results
 
     def rows(self, dz: np.ndarray) -> np.ndarray:
         """Rows (K dz, .) from coefficients dz, both (cells' unknowns, n)."""
@@ -122,7 +122,7 @@ class PointValues:
     columns: np.ndarray  # d rate/dX, (points, n, X)
     force: np.ndarray  # (points, X, n)
     beside: dict[str, np.ndarray]  # derivatives by z of rows of v, and of cell means, (points, d, n)
-    resolvent: np.ndarray  # (cells, q n, q n), see ``PointTangent.resolved``
+    resolvent: Resolvent  # see ``PointTangent.resolved``
 
 
 class PointTangent(_AtPoints):
@@ -139,14 +139,18 @@ class PointTangent(_AtPoints):
         rates, count = residual.rates, operators.points.count
         self._creeps = bool(rates.mechanisms) and rates.is_local and not rates.creep_is_collocated
         self.parts = [(part.cells, terms.part(part.cells)) for part in residual.parts]
+        self._stores = len(self.parts) == 1
+        """Whether resolvents are stored in any case: those of one part of a mesh take little memory."""
         n, X = self.components, len(rates.tensors.constant)
         kind = precision.SINGLE if self.collocated is None else np.float64
         self.rate_slope = np.zeros((count, n, n), kind)
-        self._kept: dict[int, tuple[int, np.ndarray | None]] = {}
+        self._kept: dict[int, tuple[int, Resolvent | None]] = {}
         """Number of terms of the resolvent's series, and the resolvent if it is stored, by a part's first
         cell."""
         self.force: np.ndarray | None = None
         self.columns: np.ndarray | None = None
+        self._of_mechanisms = [self._relaxed(i) for i in range(len(rates.mechanisms))]
+        """The components that each mechanism relaxes, and those on which its driving stress depends."""
         self._weighing = [term for term in self._asked if term.weighs]
         self._means = list(residual.couplings.of_kernel["cell means"]) if self._weighing else []
         self.weight: np.ndarray | None = None
@@ -207,14 +211,14 @@ class PointTangent(_AtPoints):
         X[:g] = rates.entries_of_L(u)
         if rates.mechanisms and not rates.creep_is_collocated:
             X[g:] = rates.creep_components(u)
-        of_rates = rates.slopes(z, X, zeta, rates.openings(u))
-        K, force = (np.ascontiguousarray(slope.transpose(2, 0, 1)) for slope in of_rates)
+        K, force = rates.slopes(z, X, zeta, rates.openings(u))
         force += np.matmul(columns.swapaxes(1, 2), curvature)
         by_stress = self._creep_by_stress(u) if self._creeps else []
         if by_stress is not None:  # by the chain rule: force has the derivatives of the driving stresses
             for i, of_stress in enumerate(by_stress):
-                where = rates.components_of(i)
-                K += np.matmul(columns[:, :, where], np.matmul(of_stress, force[:, where]))
+                where, (rows, seen) = rates.components_of(i), self._of_mechanisms[i]
+                driving = np.matmul(of_stress, np.ascontiguousarray(force[:, where, seen]))
+                K[:, rows[:, None], seen] += np.matmul(columns[:, rows, where], driving)
         force[:, rates.tensors.trace] += zeta.T[:, None]
         if by_stress is not None and not self._asked:
             return K, force, {}
@@ -237,6 +241,20 @@ class PointTangent(_AtPoints):
                 of_name[:, :, some] = slopes[name].reshape(size, components, points).transpose(2, 0, 1)
         return K, force, beside
 
+    def _relaxed(self, mechanism: int) -> tuple[np.ndarray, np.ndarray]:
+        """Numbers of the components that a mechanism relaxes, and of those that its driving stress reads."""
+        rates, owner, every = self.residual.rates, self.slope.owner, np.arange(self.components)
+        if rates.weighed is not None:
+            return every, every
+        where = rates.components_of(mechanism)
+        linear = rates.tensors.linear[where] != 0
+        is_relaxed = linear.any(axis=(0, 2)) | rates.tensors.constant[where].any(axis=0)
+        branches = np.unique(owner[is_relaxed])
+        if len(branches) != 1 or branches[0] < 0:
+            return np.flatnonzero(is_relaxed), every
+        is_read = (owner == branches[0]) | (owner < 0) | linear.any(axis=(0, 1))
+        return np.flatnonzero(is_relaxed), np.flatnonzero(is_read)
+
     def _creep_by_stress(self, u: Fields) -> list[np.ndarray] | None:
         """Derivatives of each mechanism's Pi by d(zeta : rate)/dPi, (points, p, p): through the driving
         stress.
@@ -247,19 +265,24 @@ class PointTangent(_AtPoints):
             return None  # the share of a body is a factor of its driving stress
         probe = np.random.default_rng(0).standard_normal((1, self.components, 1))
         _, changed = next(incremented(u, z=probe, zeta=probe))
-        stresses, slopes = [rates.driving(mechanism, u) for mechanism in rates.mechanisms], []
-        for mechanism, M in zip(rates.mechanisms, stresses, strict=True):
+        points, slopes = u.z.value.shape[1], list[np.ndarray]()
+        units = rates.mandel_of(np.eye(size))
+        for mechanism in rates.mechanisms:
+            rule = mechanism.rule
+            if rule.is_linear and not rule.reads_conjugate:
+                of_units = rates.creep_space.components(rule.rate(units, None, {})).value
+                slopes.append(np.broadcast_to(of_units, (points, size, size)))
+                continue
+            M = rates.driving(mechanism, u)
             if derivative_of(rates.creep_by(mechanism, M, changed).value, 1).any():
                 return None
-            slopes.append(np.empty((M.value.shape[2], size, size)))
-        units, points = rates.mandel_of(np.eye(size)).value.transpose(2, 0, 1)[..., None], len(slopes[0])
-        for start in range(0, size, group := max(1, TOGETHER // max(points, 1))):
-            along = units[start : start + group]
-            some, many = slice(start, start + len(along)), repeated(u, len(along))
-            for mechanism, M, slope in zip(rates.mechanisms, stresses, slopes, strict=True):
+            slopes.append(slope := np.empty((points, size, size)))
+            for start in range(0, size, group := max(1, TOGETHER // max(points, 1))):
+                along = units.value.transpose(2, 0, 1)[start : start + group, ..., None]
+                many = repeated(u, len(along))
                 Pi = rates.creep_by(mechanism, Array(repeated_along(M.value, along), None), many)
                 of_stress = derivative_of(rates.creep_space.components(Pi).value, len(along))
-                slope[:, :, some] = of_stress.transpose(2, 0, 1)
+                slope[:, :, start : start + len(along)] = of_stress.transpose(2, 0, 1)
         return slopes
 
     def fields_rows(self, dz: np.ndarray) -> np.ndarray:
@@ -272,25 +295,17 @@ class PointTangent(_AtPoints):
         resolvent = np.linalg.inv(np.eye(self.components) - self.tau * self.rate_slope)
         return self.tau * self.force @ (resolvent @ self.columns)
 
-    def _resolvent(self, cells: slice) -> np.ndarray:
-        """The resolvent of some cells, (cells, q n, q n); it is stored unless its series replaces it."""
+    def _resolvent(self, cells: slice) -> Resolvent:
+        """The resolvent of some cells; it is stored if the mesh is one part, or no series replaces it."""
         groups = self._groups(cells)
-        q, n, results = self.op.z.local, self.components, list[tuple[np.ndarray, int]]()
-        for some in groups:
-            tested = self.tested(cells, some)
-            if self.collocated is not None:
-                tested = tested + self.collocated.tested(cells, some)
-            results.append(_resolvents(tested))
-        terms = min(count for _, count in results) and max(count for _, count in results)
-        resolvent = results[0][0]
-        if len(groups) > 1:
-            whole = np.zeros((len(resolvent), q, n, q, n), np.result_type(*(part for part, _ in results)))
-            for some, (part, _) in zip(groups, results, strict=True):
-                blocks = part.reshape(len(part), q, len(some), q, len(some))
-                for (here, i), (there, j) in itertools.product(_runs(some), repeat=2):
-                    whole[:, :, here, :, there] = blocks[:, :, i, :, j]
-            resolvent = whole.reshape(len(whole), q * n, q * n)
-        is_kept = terms == 0 or self.collocated is not None
+        tested = self.tested(cells, groups)
+        if self.collocated is not None:
+            pairs = zip(tested, self.collocated.tested(cells, groups), strict=True)
+            tested = [first + second for first, second in pairs]
+        blocks, counts = zip(*map(resolvents, tested), strict=True)
+        resolvent = Resolvent(groups, blocks)
+        terms = min(counts) and max(counts)
+        is_kept = self._stores or terms == 0 or self.collocated is not None
         self._kept[cells.start] = terms, resolvent.astype(self.rate_slope.dtype) if is_kept else None
         return resolvent
 
@@ -318,15 +333,16 @@ class PointTangent(_AtPoints):
         fields' space.
 
         The resolvent acts on coefficients, not on values at points: tau K may be large at single points of
-        a cell, where matter yields.  Where tau P K is small, its series replaces the cells' matrices.
+        a cell, where matter yields.  On a mesh of several parts, where tau P K is small, its series replaces
+        the cells' matrices, which would take more memory.
         """
         op, n, result = self.op.z, self.components, np.empty(dz.shape, self.rate_slope.dtype)
         for cells, _ in self.parts:
             terms, resolvent = self._kept[cells.start]
             rows = slice(op.local * cells.start, op.local * cells.stop)
             if resolvent is not None:
-                of_cells = dz[rows].reshape(*resolvent.shape[:2], 1)  # a rank may have no cells
-                result[rows] = np.matmul(resolvent, of_cells).reshape(-1, n)
+                of_cells = dz[rows].reshape(resolvent.cells, op.local, n)  # a rank may have no cells
+                result[rows] = resolvent(of_cells).reshape(-1, n)
                 continue
             blocks = op.part(cells).blocks.astype(result.dtype)
             K = self.rate_slope[self._places(cells)]
@@ -340,38 +356,9 @@ class PointTangent(_AtPoints):
         return result
 
 
-def _runs(numbers: np.ndarray) -> list[tuple[slice, slice]]:
-    """Runs of consecutive numbers, as ranges of numbers and of their places."""
-    ends = [0, *(np.flatnonzero(np.diff(numbers) != 1) + 1).tolist(), len(numbers)]
-    runs = list(itertools.pairwise(ends))
-    return [(slice(int(numbers[i]), int(numbers[j - 1]) + 1), slice(i, j)) for i, j in runs]
-
-
 def at_points(matrices: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Multiply matrices (points, i, j) by values (j, points), to (i, points)."""
     return np.ascontiguousarray(np.matmul(matrices, values.T[:, :, None])[:, :, 0].T)
-
-
-def _resolvents(matrices: np.ndarray) -> tuple[np.ndarray, int]:
-    """(1 - N)^{-1} of stacked matrices N, and the number of terms with which the series 1 + N + N^2 ... has
-    an error below 1e-4; the number is 0 for large N.
-
-    For small N the inverse is the product (1 + N)(1 + N^2)(1 + N^4) ..., up to this error, in a fifth
-    of the time of factorisations.
-    """
-
-    def size(matrices: np.ndarray) -> float:
-        return float(abs(matrices).sum(axis=2).max(initial=0.0))
-
-    identity = np.eye(matrices.shape[1])
-    if not (largest := size(matrices)) < 0.5:
-        return np.linalg.inv(identity - matrices), 0
-    power, exponent = precision.single(matrices), 1
-    result = power + identity.astype(precision.SINGLE)
-    while (largest := size(power)) ** 2 > _NEGLECTED:
-        power, exponent = np.matmul(power, power), 2 * exponent
-        result += np.matmul(result, power)
-    return result, 1 + math.ceil(exponent * math.log(_NEGLECTED) / math.log(largest)) if largest > 0 else 1
 
 
 def radius_of(u: Fields) -> np.ndarray | None:
