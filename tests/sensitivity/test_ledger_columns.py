@@ -8,6 +8,7 @@ from differentiated import AT, UNTIL, VELOCITY, run
 from ngsolve import CF, x, y
 from support import by_ci
 from test_adjoint import between, curved, directional, smooth
+from test_models import heated
 
 import ngvisco as nv
 from ngvisco.sensitivity.distance_slopes import DistanceSlopes
@@ -37,12 +38,18 @@ def of(names=NAMES):
     return {f"{name} {when}": f"{name} {when}" for name in names for when in ("at 0.06", "until 0.05")}
 
 
+HEAT = ("power_heat_dissipated", "power_heat_numerical")
+PRODUCTIONS = ("stokes_bulk", "stokes_shear", "upwinding", "conduction", "numerical")
+PRODUCTIONS = tuple(f"entropy_production_{name}" for name in PRODUCTIONS)
+
+
 def relative(found, exact, names):
-    """Differences over the largest derivative of an energy, of a momentum, or of the same column."""
+    """Differences over the largest derivative of an energy, momentum, power or production, or of the same
+    column."""
     sizes = []
     for name, value in zip(names, exact, strict=True):
         column, when = name.split(" ", 1)
-        kind = next((k for k in (ENERGY, (*MOMENTUM, *MOMENTA)) if column in k), (column,))
+        kind = next((k for k in (ENERGY, (*MOMENTUM, *MOMENTA), HEAT, PRODUCTIONS) if column in k), (column,))
         beside = [abs(v) for n, v in zip(names, exact, strict=True) if n in [f"{c} {when}" for c in kind]]
         sizes.append(max(beside) if beside else abs(value))
     return abs(found - exact) / np.array(sizes)
@@ -59,6 +66,21 @@ def test_products_of_tangent_and_adjoint_are_equal(scheme, solver):
     make = partial(run, solver=solver, initial=start)
     by_tangent, by_adjoint = directional(make, scheme, of(), 0.07)
     assert relative(by_adjoint, by_tangent, of()).max() < 1e-10
+
+
+@pytest.mark.parametrize(
+    ("scheme", "solver"),
+    [by_ci("backward-euler", "coupled"), ("backward-euler", "split"), by_ci("midpoint", "coupled")],
+)
+def test_products_of_columns_of_heat_are_equal(scheme, solver):
+    """The scheme's heat is a difference of energies of 600 J: rounding, or the spacing, leaves 2e-9 of it."""
+    by_scheme = scheme == "backward-euler"
+    own = (*ENERGY, "entropy", *HEAT, *PRODUCTIONS, "temperature_min", "temperature_max")
+    numbers = of([name for name in own if by_scheme or not name.endswith("numerical")])
+    make = partial(heated, 1e-3, by_scheme=by_scheme, solver=solver)
+    by_tangent, by_adjoint = directional(make, scheme, numbers, 0.1)
+    bounds = [1e-8 if name.startswith("power_heat_numerical") else 1e-10 for name in numbers]
+    assert (relative(by_adjoint, by_tangent, numbers) < bounds).all()
 
 
 WIDTHS = (1e-2, 1e-3, 1e-4)
