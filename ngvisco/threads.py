@@ -93,11 +93,11 @@ class Workers:
                 results[index] = work(parts[index])
                 index = next(left, None)
 
-        others = [
+        futures = [
             self._pool.submit(copy_context().run, take, next(left))
             for _ in range(min(self.threads, len(parts)) - 1)
         ]
         take(0)
-        for other in others:
-            other.result()
+        for future in futures:
+            future.result()
         return [results[index] for index in range(len(parts))]

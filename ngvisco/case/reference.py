@@ -260,21 +260,21 @@ def cards(every: Sequence[KeyEntry]) -> list[str]:
     groups: dict[tuple[str, ...], list[KeyEntry]] = {}
     for entry in every:
         groups.setdefault((entry.name, entry.type, entry.unit, entry.default_text), []).append(entry)
-    found = []
-    for (name, kind, unit, default), (entry, *others) in groups.items():
+    texts = []
+    for (name, kind, unit, default), (entry, *similar) in groups.items():
         rows = [
             ("type", kind),
             ("unit", "none (a pure number)" if unit == "1" else unit),
             ("default", default),
         ]
-        if others:
-            rows += [("meaning", f"{e.meaning} ({', '.join(e.kinds)})") for e in (entry, *others)]
+        if similar:
+            rows += [("meaning", f"{e.meaning} ({', '.join(e.kinds)})") for e in (entry, *similar)]
         else:
             rows.append(("meaning", entry.meaning))
         rows.append(("example", "" if entry.example is None else entry.example_text))
-        rows.append(("of", "" if others else ", ".join(entry.kinds)))
-        found.append("\n".join([name, *(f"  {label:8s} {text}" for label, text in rows if text)]))
-    return found
+        rows.append(("of", "" if similar else ", ".join(entry.kinds)))
+        texts.append("\n".join([name, *(f"  {label:8s} {text}" for label, text in rows if text)]))
+    return texts
 
 
 def markdown() -> str:
