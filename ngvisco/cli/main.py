@@ -5,6 +5,7 @@ A fault that a user can cause gives a message and an exit code of ``ngvisco.cli.
 
 import argparse
 import os
+import re
 import sys
 import traceback
 import warnings
@@ -252,8 +253,17 @@ def _ended(options: argparse.Namespace) -> int:
         if not isinstance(error, NgviscoError):
             raise  # a fault of the program: a report needs the traceback
         code = BAD_FILE if isinstance(error, (CheckpointError, MeshError)) else BAD_INPUT
-        message = "\n".join([in_case(error), *getattr(error, "__notes__", [])])
+        message = "\n".join([_in_options(error, in_case(error), options), *getattr(error, "__notes__", [])])
         return _say(message, FAILED if isinstance(error, StepError) else code)
+
+
+def _in_options(error: Exception, message: str, options: argparse.Namespace) -> str:
+    """The message of an error, with an option of the command in place of the parameter ``fit.sigma``."""
+    match = re.match(r"(?:fit\.|write_movie\.)?([a-z_]+)\b", getattr(error, "key", ""))
+    name = "" if match is None else {"frames_per_second": "fps"}.get(match[1], match[1])
+    if match is None or not message.startswith(match[0]) or getattr(options, name, None) is None:
+        return message
+    return f"--{name}{message[match.end() :]}"
 
 
 def _command(name: str) -> Callable[[argparse.Namespace], int]:

@@ -227,6 +227,8 @@ def test_progress_bar_says_why_a_step_was_rejected_and_what_was_limited(capsys):
         (("info", "EMPTY"), "not a run directory"),
         (("plot", "EMPTY"), "not a run directory"),
         (("scene", "RUN", "--fields", "Jj"), "unknown field 'Jj'; did you mean 'J'?"),
+        (("plot", "RUN", "--movie", "--fps", "0"), "ngvisco: --fps = 0.0: expected a number in (0, 1000]"),
+        (("plot", "RUN", "--section", "z=0"), "ngvisco: --section = 'z': expected none"),
     ],
 )
 def test_wrong_input_is_explained_with_exit_code_2(words, message, case_file, finished, tmp_path, capsys):
