@@ -185,9 +185,10 @@ def quarter(cells: tuple[int, int], tau: float) -> tuple[nv.Simulation, nv.Bodie
     setting: The discs of discs-that-meet, a quarter of the box on 14 x 8 squares in two, k = 2, m = 1; medium
       of {EMPTY:g} kg/m3, 4e-6 Pa s, with the discs' volumetric energy; midpoint, tau = {TAU:g} s until 1.8 s;
       the reference is a disc at a frictionless wall, and its weightless medium has one pressure.
-    - coefficient of restitution in [0.86, 0.92]: within 0.05 of the reference; 0.879 was known from a trial
+    - coefficient of restitution in [0.86, 0.92]: within 0.05 of the reference; this number and the
+      momentum, distance and energies below were known from a trial of the same run
     - the reference's coefficient of restitution in [0.90, 0.93]: 0.918 in empty space
-    - the reference's coefficient less that of the run <= 0.05: issue 54
+    - the reference's coefficient less that of the run <= 0.05: asked for before any run
     - momentum after 1.8 s over the largest backwards in [0.95, 1]: no bridge of smeared matter pulls
     - least distance of the centroids, m in [0.34, 0.42]: 0.34 of the reference, and a film of a cell
     - stored at the end over the first energy in [0, 0.15]: vibrations, and what mixing has stored
