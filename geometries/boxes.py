@@ -306,7 +306,9 @@ def structured_box(
             mesh.ngmesh.SetBCName(number, _NAMES.get(name, name))
         mesh = Mesh(mesh.ngmesh)
     mesh = split_corner_cells(mesh) if split_corners else mesh
-    return meshing.refine_corners(mesh, refine_corners) if refine_corners is not None else mesh
+    if refine_corners is None:
+        return mesh
+    return meshing.corners_refined(mesh, refine_corners, "structured_box.refine_corners")
 
 
 def _spacing(axis: str, rows: int, grading: Mapping[str, float] | None) -> Callable[[float], float]:

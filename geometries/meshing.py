@@ -274,15 +274,20 @@ def refine_corners(mesh: Mesh, walls: Mapping[str, int]) -> Mesh:
 
     Raises UnknownNameError for an unknown boundary; ParameterError unless the numbers are integers >= 0.
     """
+    return corners_refined(mesh, walls, "refine_corners.walls")
+
+
+def corners_refined(mesh: Mesh, walls: Mapping[str, int], field: str) -> Mesh:
+    """Refine as ``refine_corners`` does; errors name the parameter ``field``."""
     if not isinstance(walls, Mapping):
-        raise ParameterError("refine_corners.walls", walls, "a mapping of walls to whole numbers >= 0")
+        raise ParameterError(field, walls, "a mapping of walls to whole numbers >= 0")
     known = set(mesh.GetBoundaries())
     for name, times in walls.items():
         number = as_integer(times)
         if number is None or number < 0:
-            raise ParameterError(f"refine_corners.walls[{name!r}]", times, "an integer >= 0")
+            raise ParameterError(f"{field}[{name!r}]", times, "an integer >= 0")
         if name not in known:
-            raise UnknownNameError("boundary", name, known, "refine_corners.walls")
+            raise UnknownNameError("boundary", name, known, field)
         others = _not_identified(mesh) - {name}
         mesh = _bisected(mesh, number, [name], others)
     return mesh

@@ -94,7 +94,7 @@ class Workers:
                 index = next(left, None)
 
         futures = [
-            self._pool.submit(copy_context().run, take, next(left))
+            self._pool.submit(copy_context().run, take, next(left, None))
             for _ in range(min(self.threads, len(parts)) - 1)
         ]
         take(0)
