@@ -43,7 +43,8 @@ def applied(run, changed=lambda tangent: None):
     by_cells = d[where].reshape(-1, coupling.cells, coupling.functions).transpose(1, 0, 2)
     dz = by_cells[:, tangent.columns].reshape(coupling.cells, -1, 1)
     found = own @ dz + (across @ dz[coupling.neighbours]).sum(axis=1)
-    residual.at_points = tangent.terms
+    residual.at_points = residual.others = tangent.terms
+    residual.carried = []
     rows = residual.derivative(at)(d)[where].reshape(-1, coupling.cells, coupling.functions)
     return found[..., 0], rows[tangent.rows].transpose(1, 0, 2).reshape(found.shape[:2])
 
