@@ -1,5 +1,6 @@
 """A step has the same bits with any number of threads, and NGSolve's workers do not compete with arrays."""
 
+import pytest
 from ngsolve import CF, SetNumThreads
 from support import small_run
 
@@ -43,3 +44,19 @@ def test_within_array_work_ngsolve_has_no_workers():
         assert threads.GetNumThreads() == 1
     finally:
         SetNumThreads(1)
+
+
+@pytest.mark.parametrize("parts", (1, 2, 3, 9))
+def test_workers_take_every_part_once_and_return_results_in_order(parts):
+    """Parts may be done before all threads have begun."""
+    workers = threads.Workers(4)
+    for _ in range(100):
+        assert workers.map(lambda part: part**2, range(parts)) == [part**2 for part in range(parts)]
+
+
+def test_an_error_of_a_part_is_raised():
+    def work(part):
+        return 1 / (2 - part)
+
+    with pytest.raises(ZeroDivisionError):
+        threads.Workers(2).map(work, range(4))

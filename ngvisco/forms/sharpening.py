@@ -315,7 +315,7 @@ class Sharpening:
         doubled = (np.column_stack([height, height[:, c]]) for c in range(self.dim + 1))
         slope = np.stack([_share(heights) for heights in doubled], axis=1)
         slope -= (slope * self._masses[chosen]).sum(axis=1, keepdims=True) / self._mass[chosen, None]
-        slope *= self.dim + 2  # of the projection; at most 0.6 of this slope is in [0, 1]
+        slope *= self.dim + 2  # of the projection; the bound below scales it to 0.6 or less
         both = means[self._amounts][[i, j]][:, chosen].sum(axis=0)
         deviation = np.zeros((len(self._amounts), *slope.shape))  # traces of other bodies have none
         deviation[i], deviation[j] = both[:, None] * slope, -both[:, None] * slope

@@ -177,7 +177,7 @@ def _advice(simulation: RunState, violation: Violation | None, courant: float, r
             bounds = " and ".join(f"{name} > 0" for name in domain)
             lines.append(f"an energy that has values further than {bounds}, or less load")
         elif (met := simulation.rothe_step.energy.last_failure) is not None:
-            lines.insert(0, met)
+            lines.insert(0, f"the material, or less load: {met}")
         creep = model.creep
         is_sharp = creep is not None and not isinstance(creep, Creep) and creep.nu != 0
         # the floor is far below the flow's rates

@@ -14,7 +14,6 @@ from ngvisco.forms.fields import Fields
 from ngvisco.geometries import box
 from ngvisco.reduced import residual
 from ngvisco.reduced.residual import parts_of
-from ngvisco.threads import Workers
 
 
 def solved(threads=1, points=None, monkeypatch=None, **parts):
@@ -87,19 +86,3 @@ def test_parts_are_all_cells_once(cells):
 def test_threads_are_a_number():
     with pytest.raises(nv.ParameterError, match=r"threads.*0"):
         nv.NewtonOptions(threads=0)
-
-
-@pytest.mark.parametrize("parts", (1, 2, 3, 9))
-def test_workers_take_every_part_once_and_return_results_in_order(parts):
-    """Parts may be done before all threads have begun."""
-    workers = Workers(4)
-    for _ in range(100):
-        assert workers.map(lambda part: part**2, range(parts)) == [part**2 for part in range(parts)]
-
-
-def test_an_error_of_a_part_is_raised():
-    def work(part):
-        return 1 / (2 - part)
-
-    with pytest.raises(ZeroDivisionError):
-        Workers(2).map(work, range(4))

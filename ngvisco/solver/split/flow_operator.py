@@ -172,7 +172,7 @@ class FlowSchurComplement:
             result[: self.nv] += self._with_fields(dv).ravel()
             return result
         x, hyper = np.concatenate([dv, flow[self.size :].reshape(self.dim, -1)], axis=1), self.derivative
-        # sums over ranks, which the fields' response has, belong to this thread: the first work is done in it
+        # only this thread may sum over ranks, which the fields' response does: it calls the first function
         rows, of_x = self.residual.at_once(lambda: self._with_fields(dv), lambda: hyper(x))
         rows += of_x[:, : dv.shape[1]]
         result[: self.nv] += rows.ravel()
