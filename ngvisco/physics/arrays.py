@@ -8,7 +8,7 @@ factors that multiply it.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+import heapq
 from collections.abc import Callable, Iterator, Sequence
 from itertools import count
 from typing import Any, Self, TypeAlias
@@ -38,16 +38,18 @@ _ONE = np.ones(1)
 """The derivative of a sum by its summands."""
 
 
-class _Node(ABC):
-    """The common base of arrays and linear forms: linear maps of entries, each with its transpose."""
+class _Node:
+    """The common base of arrays and linear forms: linear maps of entries, each with its transpose.
+
+    It is no abstract class of Python: ``isinstance`` would take ten times as long."""
 
     __slots__ = ()
     __array_ufunc__ = None  # numpy's numbers leave the operation to these classes
     shape: tuple[int, ...]
 
-    @abstractmethod
     def _mapped(self, shape: tuple[int, ...], there: Map, back: Map) -> Self:
         """The image under the linear map ``there``; ``back`` is the transposed map, for derivatives."""
+        raise NotImplementedError
 
     @property
     def rank(self) -> int:
@@ -154,17 +156,23 @@ class Array(_Node):
         if isinstance(other, Linear):
             return NotImplemented
         other = _array(other)
-        if self.rank != other.rank:
+        if len(self.shape) != len(other.shape):
             raise TypeError("sums of scalars, vectors and tensors are not defined")
-        return Array(operation(self.value, other.value), [(self, _same), (other, pull)])
+        value = operation(self.value, other.value)
+        if self.is_constant and other.is_constant:
+            return Array(value, None)
+        return Array(value, [(self, _same), (other, pull)])
 
     def __mul__(self, other: Any) -> Array:
         if isinstance(other, Linear):
             return NotImplemented
         a, b = self, _array(other)
         left, right, out = subscripts(a.shape, b.shape)
+        value = product(left, right, out, a.value, b.value)
+        if a.is_constant and b.is_constant:
+            return Array(value, None)
         return Array(
-            product(left, right, out, a.value, b.value),
+            value,
             [
                 (a, lambda g: product(out, right, left, g, b.value)),
                 (b, lambda g: product(out, left, right, g, a.value)),
@@ -205,7 +213,10 @@ class Array(_Node):
         a, b = self, _array(other)
         if a.rank != b.rank:
             raise TypeError("the inner product of a scalar and a tensor is not defined")
-        return Array(contracted(a.value, b.value), [(a, lambda g: g * b.value), (b, lambda g: g * a.value)])
+        value = contracted(a.value, b.value)
+        if a.is_constant and b.is_constant:
+            return Array(value, None)
+        return Array(value, [(a, lambda g: g * b.value), (b, lambda g: g * a.value)])
 
     def log(self) -> Array:
         """The natural logarithm of scalars."""
@@ -389,15 +400,18 @@ def derivatives(result: Array, arguments: Sequence[Array]) -> list[np.ndarray]:
 def _backwards(root: Any, seed: np.ndarray) -> Iterator[tuple[Any, np.ndarray]]:
     """Yield ``root`` and the nodes that it depends on, latest first, each with the derivative by the node;
     ``seed`` is the derivative by ``root``."""
-    slopes, nodes = {root.number: seed}, {root.number: root}
-    while nodes:
-        number = max(nodes)  # every node computed from this one has a larger number
+    slopes, nodes, latest = {root.number: seed}, {root.number: root}, [-root.number]
+    while latest:
+        number = -heapq.heappop(latest)  # every node computed from this one has a larger number
         node, g = nodes.pop(number), slopes.pop(number)
         yield node, g
         for parent, pull in node.parents:
-            share = pull(g)
-            slopes[parent.number] = slopes[parent.number] + share if parent.number in slopes else share
-            nodes[parent.number] = parent
+            share, number = pull(g), parent.number
+            if number in slopes:
+                slopes[number] = slopes[number] + share
+            else:
+                slopes[number], nodes[number] = share, parent
+                heapq.heappush(latest, -number)
 
 
 def _array(value: Any) -> Array:
