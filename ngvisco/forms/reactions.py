@@ -23,7 +23,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from ngsolve import CF, L2, CoefficientFunction, GridFunction, LinearForm, ds, specialcf, x, y, z
 
-from ngvisco.errors import UnknownNameError
+from ngvisco.errors import ParameterError, UnknownNameError
 from ngvisco.forms.boundary.boundaries import facet_indicator
 from ngvisco.forms.boundary.walls import MovingWalls
 from ngvisco.forms.fields import Fields
@@ -37,7 +37,8 @@ from ngvisco.physics.tensors import if_positive, inner, is_number, masked
 
 
 class WallReactions:
-    """Force and torque on walls of a step, by default on all; UnknownNameError for a name without a wall.
+    """Force and torque on walls of a step, by default on all; UnknownNameError for a name without a wall,
+    ParameterError for a mesh without walls.
 
     Parameters
     ----------
@@ -50,6 +51,9 @@ class WallReactions:
     def __init__(self, step: Step, names: Sequence[str] | None, about: Sequence[float]) -> None:
         walls = step.walls.conditions
         self.step, self._ranks = step, Communicator.of(step.mesh)
+        if not walls:
+            expected = "a mesh that is not periodic in all directions"
+            raise ParameterError("WallForces.walls", "no walls", expected)
         self.names = list(walls) if names is None else list(names)
         for name in self.names:
             if name not in walls:

@@ -16,7 +16,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from ngsolve import CoefficientFunction, FESpace, GridFunction, Parameter, Region
+from ngsolve import CF, VERTEX, CoefficientFunction, FESpace, GridFunction, Parameter, Region
 
 from ngvisco.parallel.communicator import TRAFFIC, Communicator
 
@@ -251,6 +251,10 @@ class HaloUnknowns(Owned):
         return np.ascontiguousarray(result).reshape(*result.shape[:-2], -1)
 
 
+_LEAST = 0.1
+"""Less than the share that ``Set`` keeps of a vertex's value: a cell has at most four vertices."""
+
+
 class Interpolation:
     """NGSolve's ``Set`` of functions of a continuous space, reproducible to the bit over ranks; collective.
 
@@ -258,16 +262,32 @@ class Interpolation:
     order of the messages, so that the sum of three parts is rounded in varying ways.  Ranks that share an
     unknown with two others therefore call ``Set`` in turns, with zeros on all other ranks, and the results
     are added in the order of the turns.
+
+    A cell that meets its own periodic image has the unknown of a vertex twice: ``Set`` then adds its value
+    once, and counts it twice.  The unknowns of the function 1 are the shares that ``Set`` so keeps of values.
+    Edges and faces of one cell are never images of each other.
     """
 
     def __init__(self, space: FESpace) -> None:
-        self._turn, self._turns = _turns(Exchange.of(space, Communicator.of(space.mesh)))
+        communicator = Communicator.of(space.mesh)
+        self._turn, self._turns = _turns(Exchange.of(space, communicator))
         self._takes_part = Parameter(1.0)
+        pairs = len(list(space.mesh.GetPeriodicNodePairs(VERTEX)))
+        self._is_periodic = communicator.total(pairs) > 0
 
     def __call__(
         self, function: GridFunction, value: CoefficientFunction, where: Region | None = None
     ) -> None:
         """Set a function of the space to values, everywhere or in the region ``where``."""
+        if self._is_periodic:
+            self._set(function, CF((1.0,) * value.dim), where)
+            kept = function.vec.FV().NumPy().copy()
+            self._set(function, value, where)
+            function.vec.FV().NumPy()[:] /= np.where(kept > _LEAST, kept, 1.0)
+        else:
+            self._set(function, value, where)
+
+    def _set(self, function: GridFunction, value: CoefficientFunction, where: Region | None) -> None:
         if self._turns == 1:
             function.Set(value, definedon=where)
             return

@@ -10,6 +10,7 @@ import numpy as np
 from ngsolve import CF, H1, CoefficientFunction, Grad, GridFunction, Periodic, x, y, z
 
 from ngvisco.errors import NgviscoWarning, ParameterError, Quantity, require_some_names
+from ngvisco.parallel.exchange import Interpolation
 from ngvisco.physics.bodies import AMOUNT
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.tensors import inner, sym
@@ -127,7 +128,7 @@ class Tractions:
         self._step, self._dim = step, step.mesh.dim
         space = H1(step.mesh, order=1)
         space = Periodic(space) if step.walls.periodic else space
-        self.chi = {name: GridFunction(space) for name in names}
+        self.chi, self._interpolate = {name: GridFunction(space) for name in names}, Interpolation(space)
         pairs = [(0, 0), (1, 1), (2, 2), (0, 1), *([(0, 2), (1, 2)] if self._dim == 3 else [])]
         self.of_stress = {f"stress_{i + 1}{j + 1}": (i, j) for i, j in pairs}
         axes = "xyz"[: self._dim]
@@ -169,7 +170,7 @@ class Tractions:
         """Set chi at each vertex to the mean, over the vertex's cells, of the fraction's P1 projection in a
         cell."""
         for name, chi in self.chi.items():
-            chi.Set(self._theta[name])
+            self._interpolate(chi, self._theta[name])
 
     def forces(self, centres: np.ndarray) -> np.ndarray:
         """Forces, N, and torques, N m, about the bodies' ``centres``, (bodies, dim): (bodies, components)."""

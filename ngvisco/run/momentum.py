@@ -31,7 +31,8 @@ IMPULSE, ANGULAR = "impulse_", "angular_"
 TRANSFERRED = "impulse_transfer"
 """Column of the change of momentum when a state is carried over to another mesh or other parameters."""
 _ROUNDING = 1e-9
-"""Fraction of the largest exchange, added to every direction's moving momentum to allow for rounding."""
+"""Fraction of the largest exchange, and of the stresses' impulse, added to every direction's moving momentum
+to allow for rounding."""
 LOST = 0.05
 """Value of ``momentum_defect_relative`` above which a run warns."""
 
@@ -61,11 +62,13 @@ def unit(name: str) -> str | None:
 
 @dataclass(frozen=True)
 class _Totals:
-    """Totals of all rows so far, by motions: defect, exchange, last momentum; and the largest |momentum|."""
+    """Totals of all rows so far, by motions: defect, exchange, last momentum; the largest |momentum|; and
+    the impulse of stresses within the body."""
 
     defect: np.ndarray
     exchanged: np.ndarray
     moving: float
+    stressed: float
     last: np.ndarray
 
 
@@ -75,7 +78,7 @@ class Momentum:
     def __init__(self, step: Step, sampler: Sampler, velocity: Callable[[], float]) -> None:
         self.impulses, self._ranks, self._velocity = Impulses(step), sampler.ranks, velocity
         self.motions = list(self.impulses.motions)
-        reach = self._ranks.most(np.linalg.norm(coordinates(step.mesh), axis=1))
+        self._length = reach = self._ranks.most(np.linalg.norm(coordinates(step.mesh), axis=1))
         self._reach = np.array([reach if motion.startswith("torque") else 1.0 for motion in self.motions])
         """Lever arm of each motion, m: the mesh's reach for rotations; 1 for translations."""
         self._given = [IMPULSE + name for name in self.impulses.names]
@@ -180,9 +183,10 @@ class Momentum:
         impulses = [self._array(row, quantity) for quantity in (*self._given, *self._at_once)]
         defect = self._array(row, "momentum") - self._totals.last - sum(impulses, np.zeros(len(self.motions)))
         row |= dict(zip(self._names(DEFECT), map(float, defect), strict=True))
-        totals = self._added(row)
-        # a direction without a load has rounding from the impulses in other directions
-        rounding = _ROUNDING * (totals.exchanged / self._reach).max(initial=0.0)
+        totals = self._added(row | {"stored": values["stored"], "dt": tau})
+        # a direction without a load has rounding from the impulses in other directions, and a body that is
+        # clamped under stress from the walls' reactions, although their sum vanishes
+        rounding = _ROUNDING * ((totals.exchanged / self._reach).max(initial=0.0) + totals.stressed)
         moving = totals.moving + values["mass"] * self._velocity() + rounding
         scale = self._reach * moving + totals.exchanged
         row[RELATIVE] = float((abs(totals.defect) / np.where(scale > 0, scale, 1.0)).max())
@@ -194,7 +198,8 @@ class Momentum:
         for quantity in self._given:
             exchanged = exchanged + abs(self._array(row, quantity))
         defect, moving = before.defect + self._array(row, DEFECT), max(before.moving, row[SIZE])
-        return _Totals(defect, exchanged, moving, self._array(row, "momentum"))
+        stressed = before.stressed + abs(row["stored"]) * row["dt"] / self._length
+        return _Totals(defect, exchanged, moving, stressed, self._array(row, "momentum"))
 
     def count(self, row: Mapping[str, float]) -> None:
         """Add the next row to the totals."""
@@ -203,7 +208,7 @@ class Momentum:
     def resume(self, rows: Iterable[Mapping[str, float]]) -> None:
         """Start the totals anew and count ``rows``."""
         zero = np.zeros(len(self.motions))
-        self._totals = _Totals(zero, zero, 0.0, zero)
+        self._totals = _Totals(zero, zero, 0.0, 0.0, zero)
         for row in rows:
             self.count(row)
 

@@ -7,7 +7,7 @@ import pytest
 from ngsolve import CF, x, y
 
 import ngvisco as nv
-from ngvisco.geometries import box, disc
+from ngvisco.geometries import box, disc, structured_box
 
 MATERIAL = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
 VISCOSITY = nv.StokesViscosity(K_v=1.0, G_v=1.0)
@@ -100,6 +100,32 @@ def test_torque_on_a_curved_wall_takes_the_angular_momentum():
     rate = np.diff(spin.column("L")) / 0.01
     assert forces.column("wall.torque") == pytest.approx(-rate, rel=1e-3)
     assert forces.column("wall.torque")[0] == pytest.approx(0.5 * 0.1 * 2 * math.pi, rel=0.1)
+
+
+def test_forces_and_momentum_of_a_periodic_strip_of_one_cell():
+    """A cell that meets its own image has a vertex twice: all lengths of the strip have one shear stress."""
+    found = []
+    for cells in (1, 2):
+        forces = nv.WallForces(["top"])
+        run = nv.Simulation(
+            structured_box((0.5, 1), (cells, 2), periodic="x"),
+            nv.Model(material=nv.LinearElastic(K_e=10.0, G_e=5.0), viscosity=VISCOSITY),
+            dt=0.1,
+            initial=nv.Initial(velocity=(0.1 * y, 0.0)),
+            walls={"bottom": nv.NoSlip(), "top": nv.PrescribedTangential((0.1, 0.0))},
+            observers=[forces],
+        )
+        ledger = run.run(0.2)
+        found.append(forces.column("top.force_1"))
+        assert abs(ledger.column("momentum_defect_1")).max() < 1e-14
+        assert ledger.column("momentum_1")[-1] == pytest.approx(0.5 * 0.1 / 2, rel=1e-6)
+    assert found[0] == pytest.approx(found[1], rel=1e-6)
+
+
+def test_forces_need_a_wall():
+    mesh = structured_box((1, 1), (2, 2), periodic=("x", "y"))
+    with pytest.raises(nv.ParameterError, match=r"WallForces\.walls = 'no walls'"):
+        nv.Simulation(mesh, nv.Model(material=MATERIAL), dt=0.01, observers=[nv.WallForces()]).run(0.01)
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 1, 1)])
