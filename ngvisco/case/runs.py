@@ -22,9 +22,9 @@ import numpy as np
 from ngsolve import CoefficientFunction, Mesh
 
 from ngvisco.case.build import Case, parse_case
-from ngvisco.case.directory import RunDirectory, RunDirectoryError
+from ngvisco.case.directory import RunDirectory
 from ngvisco.case.faults import in_case
-from ngvisco.errors import CheckpointError, NgviscoError, StepError
+from ngvisco.errors import CheckpointError, NgviscoError, ParameterError, StepError
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import distributed
 from ngvisco.parallel.petsc import require_petsc
@@ -80,9 +80,7 @@ def run(
         state = load(source).simulation
         origin = {"directory": str(Path(source).resolve()), "step": state.number}
         notes.append(_taken_over(state, origin, simulation))
-        _check_times(place, case, simulation, case.until)
-        if simulation.t >= case.until * (1 - 1e-12):
-            raise _reached(place, simulation)
+        _check_times(case, simulation, is_new=True)
 
     def begin() -> None:
         if not force:
@@ -94,7 +92,7 @@ def run(
         ranks.on_first(begin)
         start = simulation.t
         try:
-            return _go(place, case, simulation, case.until, observers, notes)
+            return _go(place, case, simulation, None, observers, notes)
         except StepError as error:
             if error.report is not None and error.report.time == start:
                 ranks.on_first(place.keep_failure)
@@ -133,26 +131,24 @@ def resume(
             if ranks.on_first(place.run_file.exists):  # errors come before anything is written
                 before = ranks.on_first(lambda: _pending_change(place, case)) or case.hash
                 resume_changed(simulation, place.run_file, {"case": before})
-            _check_times(
-                place, new, simulation, new.until if until is None else simulation.stepper.met(until)
-            )
+            _check_times(new, simulation, until)
             ranks.on_first(lambda: _write_change(place, case, new, settings))
             case = place.case()
         notes = [f"resume: {case.sections.title or case.source}"]
         with _noting_warnings(notes.append):
             simulation = case.simulation(_mesh_of_first(case, ranks, place.present_mesh))
-        return _go(place, case, simulation, case.until if until is None else until, observers, notes)
+        return _go(place, case, simulation, until, observers, notes)
 
 
 def _go(
     place: RunDirectory,
     case: Case,
     simulation: Simulation,
-    end: float,
+    until: float | None,
     observers: Sequence[Observer],
     notes: list[str],
 ) -> Simulation:
-    ranks = simulation.ranks
+    ranks, end = simulation.ranks, case.until if until is None else until
     if ranks.on_first(place.run_file.exists):
         before = ranks.on_first(lambda: _pending_change(place, case))
         if before is None:
@@ -169,7 +165,7 @@ def _go(
     for observer in observers:
         if isinstance(observer, Progress):
             observer.until = end
-    _check_times(place, case, simulation, end)
+    _check_times(case, simulation, until)
     log = Log(place.log_file, end, case.sections.output.log_every)
     # an end time given to ``resume`` is an output time too
     simulation.observers += [*case.observers(place.path, end), log, *observers]
@@ -227,17 +223,19 @@ def _mesh_of_first(case: Case, ranks: Communicator, make: Callable[[], Mesh]) ->
         return distributed(meshes[0] if meshes else None, ranks)
 
 
-def _check_times(place: RunDirectory, case: Case, simulation: Simulation, end: float) -> None:
-    """Raise RunDirectoryError or ParameterError for end or output times at which no step ends."""
-    if simulation.t > end * (1 + 1e-12):
-        raise _reached(place, simulation)
-    for name, value in [("until", end), *(("stops", stop) for stop in case.output_times(end))]:
-        simulation.stepper.check(name, value)
-
-
-def _reached(place: RunDirectory, simulation: Simulation) -> RunDirectoryError:
-    message = f"the run has already reached t = {simulation.t:g} s: expected an end time above that"
-    return RunDirectoryError(f"{place.path}: {message}")
+def _check_times(
+    case: Case, simulation: Simulation, until: float | None = None, *, is_new: bool = False
+) -> None:
+    """Raise ParameterError for an end or output times at which no step ends, or for an end that has been
+    reached; CaseError if the end is the case's.  The end of a new run is later than its start."""
+    end = case.until if until is None else simulation.stepper.met(until)
+    with contextlib.nullcontext() if until is not None else case.locator.located("time"):
+        if simulation.t > end * (1 + 1e-12) or (is_new and simulation.t >= end * (1 - 1e-12)):
+            expected = f"a time after t = {simulation.t:g} s, which the run has already reached"
+            raise ParameterError("until", end, expected)
+        simulation.stepper.check("until", end)
+    for stop in case.output_times(end):
+        simulation.stepper.check("stops", stop)
 
 
 def changed(place: RunDirectory, case: Case, settings: Sequence[str]) -> Case:

@@ -14,6 +14,7 @@ from typing import Any
 
 from ngvisco.cli import streams
 from ngvisco.cli.streams import BAD_FILE, BAD_INPUT, FAILED, INTERRUPTED
+from ngvisco.words import Words, words_of
 
 _EPILOG = """exit codes: 0 done; 1 a step could not be solved; 2 wrong input; 3 a file could not be read
 or written; 4 the energy ledger does not close; 130 or 143 stopped by a signal (a checkpoint was written:
@@ -78,7 +79,7 @@ def parser() -> argparse.ArgumentParser:
         "run", help="run a case into a new directory", parents=[a_case, settings, running]
     )
     text = "run directory (default results/<name of the case>)"
-    run.add_argument("-o", "--output", metavar="DIR", help=text)
+    run.add_argument("-o", "--output", type=_directory, metavar="DIR", help=text)
     run.add_argument("--force", action="store_true", help="replace the results of an earlier run in DIR")
     text = "start from the last state of the run directory OLD, also on another mesh or in other spaces"
     run.add_argument("--from", dest="source", metavar="OLD", help=text)
@@ -95,7 +96,7 @@ def parser() -> argparse.ArgumentParser:
     text = "values of a key, e.g. --vary material.G_e=1,2,5 (repeatable: all combinations are run)"
     sweep.add_argument("--vary", metavar="KEY=V1,V2,...", action="append", default=[], help=text)
     text = "directory of the sweep (default results/<name of the case>-sweep)"
-    sweep.add_argument("-o", "--output", metavar="DIR", help=text)
+    sweep.add_argument("-o", "--output", type=_directory, metavar="DIR", help=text)
     sweep.add_argument("--force", action="store_true", help="run all runs of the sweep anew")
     text = "number of runs at once on this machine (default: its processors over a run's threads)"
     sweep.add_argument("--workers", type=_threads, metavar="N", help=text)
@@ -121,8 +122,8 @@ def parser() -> argparse.ArgumentParser:
     plot.add_argument("directory", metavar="DIR", help=text, nargs="+")
     text = "format of the pictures (default png)"
     plot.add_argument("--format", choices=("png", "pdf", "svg"), default="png", help=text)
-    text = "directory for the pictures of several runs (default: the sweep's, or .)"
-    plot.add_argument("-o", "--output", metavar="DIR", help=text)
+    text = "directory for the pictures (default: the run's or the sweep's; . for several runs)"
+    plot.add_argument("-o", "--output", type=_directory, metavar="DIR", help=text)
     text = "cutting plane in 3D: z=0.5, or x for the plane in the middle, normal to x (default z)"
     plot.add_argument("--section", metavar="PLANE", help=text)
     text = "animate the VTK series instead, as .gif or .mp4 (needs ffmpeg; default DIR/movie.gif)"
@@ -169,7 +170,7 @@ def _add_sensitivities(commands: Any, parents: list[argparse.ArgumentParser]) ->
         text = "keys of the case, e.g. material.G_e,rheology.creep.G_m"
         subcommand.add_argument("--by", type=_names, metavar="KEYS", required=True, help=text)
         text = f"directory of the results (default results/<name of the case>-{kind})"
-        subcommand.add_argument("-o", "--output", metavar="DIR", help=text)
+        subcommand.add_argument("-o", "--output", type=_directory, metavar="DIR", help=text)
         subcommand.add_argument("--force", action="store_true", help="replace earlier results")
 
 
@@ -183,6 +184,15 @@ def _threads(text: str) -> int:
     if value > (most := max(os.cpu_count() or 1, _FEW_THREADS)):
         raise argparse.ArgumentTypeError(f"{text}: expected at most {most}, for {os.cpu_count()} processors")
     return value
+
+
+def _directory(text: str) -> str:
+    if not text or (os.path.exists(text) and not os.path.isdir(text)):
+        what = "a file" if text else "empty"
+        raise argparse.ArgumentTypeError(
+            f"{text!r}: {what}; give a directory, which is made if it is missing"
+        )
+    return text
 
 
 def _names(text: str) -> list[str]:
@@ -253,17 +263,26 @@ def _ended(options: argparse.Namespace) -> int:
         if not isinstance(error, NgviscoError):
             raise  # a fault of the program: a report needs the traceback
         code = BAD_FILE if isinstance(error, (CheckpointError, MeshError)) else BAD_INPUT
-        message = "\n".join([_in_options(error, in_case(error), options), *getattr(error, "__notes__", [])])
+        message = "\n".join([in_case(_in_options(error, options)), *getattr(error, "__notes__", [])])
         return _say(message, FAILED if isinstance(error, StepError) else code)
 
 
-def _in_options(error: Exception, message: str, options: argparse.Namespace) -> str:
-    """The message of an error, with an option of the command in place of the parameter ``fit.sigma``."""
-    match = re.match(r"(?:fit\.|write_movie\.)?([a-z_]+)\b", getattr(error, "key", ""))
-    name = "" if match is None else {"frames_per_second": "fps"}.get(match[1], match[1])
-    if match is None or not message.startswith(match[0]) or getattr(options, name, None) is None:
-        return message
-    return f"--{name}{message[match.end() :]}"
+_OPTIONS = {"frames_per_second": "fps", "path": "movie"}
+"""Options of parameters with another name."""
+
+
+def _in_options(error: Any, options: argparse.Namespace) -> object:
+    """An error, or its message with the option that gave the parameter at fault, as the user wrote it."""
+    match = re.match(r"(?:fit\.|write_movie\.)?([a-z_]+)\b", error.key)
+    name = "" if match is None else _OPTIONS.get(match[1], match[1])
+    given = getattr(options, name, None)
+    if given in (None, []):
+        return error
+    members = given if isinstance(given, list) else [given]
+    value = getattr(error, "value", None)
+    text = ", ".join(map(repr, [value] if value in members else members))
+    message = ("expected ", error.expected) if hasattr(error, "expected") else (words_of(error),)
+    return Words(f"--{name} = {text}: ", *message)
 
 
 def _command(name: str) -> Callable[[argparse.Namespace], int]:

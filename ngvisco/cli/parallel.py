@@ -22,7 +22,7 @@ _STARTERS = ("mpirun", "mpiexec")
 def info(options: argparse.Namespace) -> int:
     """Print the installed packages, and test them on this command's ranks, or on three new ones."""
     if options.directory is not None:
-        raise ParameterError("info", options.directory, "a run directory or --parallel")
+        raise ParameterError("DIR", options.directory, "none beside --parallel")
     ranks, starter = Communicator.world(), _starter()
     complete, lines = _found()  # on all ranks: the first import of petsc4py is collective
     if complete and starter is not None and not ranks.is_distributed:

@@ -23,17 +23,20 @@ def plot(options: argparse.Namespace) -> int:
     runs = _runs(options)
     if len(runs) > 1:
         return _compare(options, runs)
-    (out,) = runs.values()
+    (run,) = runs.values()
+    out = Path(options.output or run)
     section = None if options.section is None else CrossSection.parse(options.section)
     if options.movie is not None:
-        place = RunDirectory(out)
+        if options.step is not None:
+            raise ParameterError("--step", options.step, "nothing with --movie, which draws all states")
+        place = RunDirectory(run)
         path, title = Path(options.movie or out / "movie.gif"), place.case().sections.title
         write_movie(
             place.vtk, path, options.fields, section=section, frames_per_second=options.fps, title=title
         )
         print(path)
         return 0
-    results, chosen, lines = _load(out, options)
+    results, chosen, lines = _load(run, options)
     require_space(section, results.mesh.dim)  # raise before anything is drawn
     energies, history, states = (
         out / f"{name}.{options.format}" for name in ("energies", "history", "fields")
@@ -54,7 +57,7 @@ def _runs(options: argparse.Namespace) -> dict[str, Path]:
         names = [outcome.name for outcome in read_table(places[0] / "sweep.csv")]
         done = {name: places[0] / name for name in names if (places[0] / name / "run.h5").exists()}
         if not done:
-            raise ParameterError("plot", str(places[0]), "a study with runs that made a step")
+            raise ParameterError("DIR", str(places[0]), "a study with runs that made a step")
         return done
     return {str(place): place for place in places}
 
@@ -62,7 +65,7 @@ def _runs(options: argparse.Namespace) -> dict[str, Path]:
 def _compare(options: argparse.Namespace, runs: dict[str, Path]) -> int:
     for name in ("movie", "section", "step"):
         if (value := getattr(options, name)) is not None:
-            raise ParameterError(f"plot --{name}", value, "one run directory; several are compared over time")
+            raise ParameterError(f"--{name}", value, "one run directory; several are compared over time")
     study = len(options.directory) == 1
     out = Path(options.output or (options.directory[0] if study else "."))
     for path in plot_comparison(runs, out, options.fields, options.format):

@@ -176,7 +176,7 @@ def _duration(seconds: float) -> str:
 def info(options: argparse.Namespace) -> int:
     """Print the content and the state of a run directory."""
     if options.directory is None:
-        raise ParameterError("info", None, "a run directory, or --parallel")
+        raise ParameterError("DIR", None, "a run directory, or --parallel")
     place = RunDirectory(options.directory)
     case = place.case()
     print(f"{place.path}: {case.sections.title or 'a run'}")

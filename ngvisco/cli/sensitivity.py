@@ -121,7 +121,9 @@ def _require_keys(names: list[str], case: Case, simulation: Simulation) -> None:
             if error.kind != PART:
                 raise
             keys = [key_and_unit_of(part, case.sections)[0] for part in error.known]
-            raise UnknownNameError("part of a case with derivatives by its numbers", name, keys) from None
+            raise UnknownNameError(
+                "part of a case with derivatives by its numbers", name, keys, "by"
+            ) from None
 
 
 def _directory(options: argparse.Namespace, name: str, kind: str) -> Path:

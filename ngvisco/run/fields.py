@@ -130,7 +130,7 @@ def scalar_fields(
     chosen = [name for name in USUAL if name in scalars] if names is None else names
     for name in chosen:
         if name not in scalars:
-            raise UnknownNameError("field", name, scalars)
+            raise UnknownNameError("field", name, scalars, "fields")
     return {name: scalars[name] for name in chosen}
 
 

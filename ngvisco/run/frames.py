@@ -75,7 +75,7 @@ class Frame:
             for i, label in enumerate(COMPONENTS.get(values.shape[1], ()))
         }
         if name not in parts:
-            raise UnknownNameError("field", name, [*self.fields, *parts])
+            raise UnknownNameError("field", name, [*self.fields, *parts], "fields")
         return parts[name]
 
     def fractions(self) -> list[np.ndarray]:

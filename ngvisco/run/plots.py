@@ -166,7 +166,7 @@ def plot_comparison(
             _draw(tables, common[:_MOST], written[name])
     if fields is not None and "probes" not in written:
         field_names = {column.partition(".")[2] for table in probes.values() for column in table}
-        raise UnknownNameError("field of the probes", ", ".join(fields), field_names - {""})
+        raise UnknownNameError("field of the probes", ", ".join(fields), field_names - {""}, "fields")
     return list(written.values())
 
 

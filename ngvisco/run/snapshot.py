@@ -204,7 +204,9 @@ def _read_checkpoint(path: Path, expected: dict[str, Any], step: int | None) -> 
         name = names[-1] if step is None else f"{step:08d}"
         if name not in names:
             steps = ", ".join(str(int(n)) for n in names)
-            raise CheckpointError(f"{path}: no checkpoint of step {step} (there are {steps})")
+            error = CheckpointError(f"{path}: no checkpoint of step {step} (there are {steps})")
+            error.key = "step"
+            raise error
         return load(path, file["checkpoints"][name])
 
 

@@ -86,7 +86,7 @@ class Columns:
             if name in refused:
                 raise ParameterError("of", name, f"a column that has a derivative: {refused[name]}")
             if name not in differentiable:
-                raise UnknownNameError("column", name, differentiable)
+                raise UnknownNameError("column", name, differentiable, "of")
 
         def mask(kind: Collection[str]) -> np.ndarray:
             return np.array([name in kind for name in names], dtype=bool)

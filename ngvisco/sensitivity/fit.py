@@ -18,6 +18,7 @@ from ngvisco.sensitivity.data import INTEGRAL, TIME, Data, DataError, converted
 from ngvisco.sensitivity.gradient import Gradient, gradient
 from ngvisco.sensitivity.parameters import Named, varied
 from ngvisco.sensitivity.restart import Restart
+from ngvisco.words import words_of
 
 _RANGE = 1e3
 """Factor from the start value to the default bounds of a parameter, downwards and upwards."""
@@ -169,9 +170,7 @@ def fit(
         repeat them; a run that was interrupted begins anew.  Raises CheckpointError as ``gradient``.
     """
     if simulation.number != 0:
-        raise ParameterError(
-            "fit.simulation", simulation.number, "a simulation at its start, that made no step"
-        )
+        raise ParameterError("fit.simulation", simulation.number, "a simulation that made no step")
     names = require_collection("by", by, 'names of parameters, e.g. ["material.G_e"]')
     if not names or len(set(names)) < len(names):
         raise ParameterError("by", by, "at least one parameter, and each once")
@@ -323,14 +322,16 @@ class _Search:
                 run, self.until, of=self.of, by=by, order=2, progress=lambda *_: stop.start(run)
             )
             self.alone = result.seconds
-        except StepError:
+        except (StepError, ParameterError) as error:
             if not self.kept:
                 raise
+            if isinstance(error, ParameterError):
+                expected = ("values that the run admits (", words_of(error), ")")
+                raise ParameterError("fit.bounds", self.bounds.tolist(), *expected) from error
         except StopRequested as error:
             after = "" if self._restart is None else f"; the same call goes on from {self._restart.folder}"
-            raise StopRequested(
-                f"the fit was given up in run {self.runs + 1}, as requested{after}"
-            ) from error
+            message = f"the fit was given up in run {self.runs + 1}, as requested{after}"
+            raise StopRequested(message) from error
         self.runs, self.spent = self.runs + 1, self.spent + clock.process_time() - begin
         self._keep(q, result)
         if self.progress is not None:

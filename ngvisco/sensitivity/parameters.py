@@ -83,7 +83,7 @@ class Named:
         keys = tuple(name.split("."))
         keys = keys[1:] if keys[0] in _IN_FRONT else keys
         if keys[0] not in (*_OF_MODEL, *_OF_RUN):
-            raise UnknownNameError(PART, keys[0], (*_OF_MODEL, *_OF_RUN))
+            raise UnknownNameError(PART, keys[0], (*_OF_MODEL, *_OF_RUN), "by")
         part = _found(_root(simulation, keys[0]), keys[1:], name)
         value = as_number(part)
         if value is None:
@@ -174,7 +174,7 @@ def _found(owner: Any, keys: Sequence[str], name: str) -> Any:
         return owner
     place = _member(owner, keys[0])
     if place is None:
-        raise UnknownNameError(f"part of {name!r}", keys[0], _known(owner))
+        raise UnknownNameError(f"part of {name!r}", keys[0], _known(owner), "by")
     is_within = dataclasses.is_dataclass(owner) and place != keys[0]  # within a wrapped material
     return _found(_get(owner, place), keys if is_within else keys[1:], name)
 

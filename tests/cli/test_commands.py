@@ -221,14 +221,42 @@ def test_progress_bar_says_why_a_step_was_rejected_and_what_was_limited(capsys):
             "'soon' is no number, nor a number with its unit",
         ),
         (("resume", "RUN", "--until", "nan"), "--until = 'nan'"),
-        (("resume", "RUN", "--until", "0.04"), "has already reached t = 0.08 s"),
-        (("resume", "RUN", "--until", "0.085"), "a multiple of dt"),
+        (
+            ("resume", "RUN", "--until", "0.04"),
+            "ngvisco: --until = '0.04': expected a time after t = 0.08 s, which the run has already reached",
+        ),
+        (
+            ("resume", "RUN", "--set", "time.until=0.04"),
+            "time.until (set on the command line): 0.04: expected a time",
+        ),
+        (("resume", "RUN", "--until", "0.085"), "--until = '0.085': expected a multiple of dt"),
         (("resume", "RUN", "--until", "2 m"), "'m' has not the dimension of s"),
         (("info", "EMPTY"), "not a run directory"),
         (("plot", "EMPTY"), "not a run directory"),
-        (("scene", "RUN", "--fields", "Jj"), "unknown field 'Jj'; did you mean 'J'?"),
+        (
+            ("scene", "RUN", "--fields", "Jj"),
+            "ngvisco: --fields = 'Jj': unknown field 'Jj'; did you mean 'J'?",
+        ),
+        (
+            ("plot", "RUN", "--movie", "film.avi"),
+            "ngvisco: --movie = 'film.avi': expected a name that ends in .gif",
+        ),
+        (("plot", "RUN", "--movie", "--step", "4"), "ngvisco: --step = 4: expected nothing with --movie"),
+        (("plot", "RUN", "-o", ""), "-o/--output: '': empty; give a directory"),
+        (
+            ("gradient", "CASE", "--by", "material.G_e", "--of", "kinetic at 9"),
+            "--of = 'kinetic at 9': expected a time of",
+        ),
+        (
+            ("gradient", "CASE", "--by", "material.G_e", "--of", "kin at 0"),
+            "--of = 'kin at 0': unknown column 'kin'",
+        ),
+        (
+            ("gradient", "CASE", "--by", "material.Ge", "--of", "kinetic at 0"),
+            "--by = 'material.Ge': unknown part of",
+        ),
         (("plot", "RUN", "--movie", "--fps", "0"), "ngvisco: --fps = 0.0: expected a number in (0, 1000]"),
-        (("plot", "RUN", "--section", "z=0"), "ngvisco: --section = 'z': expected none"),
+        (("plot", "RUN", "--section", "z=0"), "ngvisco: --section = 'z=0': expected none"),
     ],
 )
 def test_wrong_input_is_explained_with_exit_code_2(words, message, case_file, finished, tmp_path, capsys):
@@ -244,7 +272,8 @@ def test_wrong_input_is_explained_with_exit_code_2(words, message, case_file, fi
 
 def test_a_missing_checkpoint_is_explained_with_exit_code_3(finished, capsys):
     assert ended("plot", finished, "--step", 1) == 3
-    assert "no checkpoint of step 1 (there are 3, 4)" in capsys.readouterr().err
+    message = f"--step = 1: {finished / 'run.h5'}: no checkpoint of step 1 (there are 3, 4)"
+    assert message in capsys.readouterr().err
 
 
 REFUSED = {

@@ -149,6 +149,14 @@ def test_a_fit_speaks_the_case_s_units(case, tmp_path):
         (["--bounds", "material.G_e=1 s,2 s"], "has not the dimension of Pa"),
         (["--sigma", "x"], "COLUMN=NUMBER"),
         (["--bounds", "material.G_e=1"], "KEY=LOW,HIGH"),
+        (
+            ["--bounds", "material.G_e=7,9 Pa"],
+            "--bounds = 'material.G_e=7,9 Pa': expected two numbers, the least first",
+        ),
+        (
+            ["--sigma", "stored=1"],
+            "--sigma = 'stored=1': expected a standard deviation > 0 of the column kinetic",
+        ),
         (["--set", "time.until=0.04"], "after the end of the run"),
         (["--by", "time.dt"], "'time.dt' (known: bodies, initial, loads, material, rheology.creep, "),
     ],
@@ -157,3 +165,12 @@ def test_wrong_input_of_a_fit(case, tmp_path, words, said):
     (tmp_path / "data.csv").write_text("time [ms],kinetic [mJ]\n20,1\n80,1\n")
     code, _, err = command("fit", case, tmp_path / "data.csv", "--by", "material.G_e", *words)
     assert code == 2 and said in err
+
+
+def test_bounds_with_values_that_the_run_refuses_are_named(case, tmp_path):
+    # no modulus > 0 gives such energies
+    (tmp_path / "data.csv").write_text("time,stored\n0.02,-1\n0.06,-1\n")
+    words = ("--by", "material.G_e", "--bounds", "material.G_e=-90,10", "--quiet", "-o", tmp_path / "fit")
+    code, _, err = command("fit", case, tmp_path / "data.csv", *words)
+    expected = "--bounds = 'material.G_e=-90,10': expected values that the run admits (material.G_e = "
+    assert code == 2 and expected in err

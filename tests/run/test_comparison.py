@@ -71,9 +71,9 @@ def test_probes_of_chosen_fields(runs, tmp_path, drawn):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--movie"], "plot --movie"),
-        (["--step", "1"], "plot --step = 1: expected one run directory"),
-        (["--section", "x"], "plot --section = 'x'"),
+        (["--movie"], "--movie = '': expected one run directory"),
+        (["--step", "1"], "--step = 1: expected one run directory"),
+        (["--section", "x"], "--section = 'x'"),
     ],
 )
 def test_what_is_of_one_run_is_refused_of_several(runs, capsys, words, message):

@@ -102,7 +102,7 @@ def test_parameters_have_paths():
     [
         (["kinetic"], ["creep.G_m"], "COLUMN at TIME"),
         (["kinetic at x"], ["creep.G_m"], "COLUMN at TIME"),
-        (["kinetic at 0.08"], ["creep.G_m"], "kinetic = 0.08: .* from t = 0 s to its end t = 0.06 s"),
+        (["kinetic at 0.08"], ["creep.G_m"], "at 0.08': expected .* from t = 0 s to its end t = 0.06 s"),
         (["cinetic at 0.06"], ["creep.G_m"], "did you mean 'kinetic'"),
         ([], ["creep.G_m"], "at least one number"),
         (["kinetic at 0.06"], [], "at least one parameter"),
