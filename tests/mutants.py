@@ -574,18 +574,42 @@ MUTANTS = [
         ),
     ),
     *_of(
-        "forms/sharpening.py",
-        (
-            "defect of a flux between two bodies",
-            "behind * (out[i] + out[j]) - out[i]",
-            "behind * (out[i] + out[j]) - 0.9 * out[i]",
-            SHARP + "test_a_strip_goes_where_it_is_carried",
-        ),
+        "forms/cut_simplices.py",
         (
             "arc of a corner's path",
             "back = path - 0.5 * np.einsum",
             "back = path + 0.5 * np.einsum",
             SHARP + "test_corners_are_followed_along_the_arcs_of_a_turn",
+        ),
+        (
+            "weight of a volume about an axis",
+            "* weights).sum(axis=-1) / weights.sum(axis=-1)",
+            "* weights).sum(axis=-1) / weights.sum(axis=-1) * 1.1",
+            SHARP + "test_shares_with_a_linear_weight",
+        ),
+    ),
+    *_of(
+        "sensitivity/follower.py",
+        (
+            "what sharp interfaces move, in a tangent",
+            "(old + change)[ranges[name]]",
+            "(old + recorded.change)[ranges[name]]",
+            "tests/sensitivity/test_models.py::test_sharp_interfaces_have_tangents",
+        ),
+    ),
+    *_of(
+        "forms/sharpening.py",
+        (
+            "cells that a step passes",
+            "initial=0.0) >= 1  # strips",
+            "initial=0.0) >= 1e9  # strips",
+            SHARP + "test_cells_that_a_step_passes_stay_as_they_are",
+        ),
+        (
+            "defect of a flux between two bodies",
+            "behind * (out[i] + out[j]) - out[i]",
+            "behind * (out[i] + out[j]) - 0.9 * out[i]",
+            SHARP + "test_a_strip_goes_where_it_is_carried",
         ),
         (
             "tensors that an amount takes with it",

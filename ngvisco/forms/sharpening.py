@@ -2,8 +2,9 @@
 
 Transport smears a jump of the amounts n_i over more and more cells. After each step
 (``Discretisation.sharp``) two moves separate bodies i and j in cells that contain no other body. Cells with
-more bodies have no planes; in these cells, too, negative means are filled up, and one factor for all slopes
-brings fractions into [0, 1].
+more bodies have no planes, and neither have cells that the step passes, which are lower than the strips
+swept through them. In these cells, too, negative means are filled up, and one factor for all slopes brings
+fractions into [0, 1].
 
 1. *Between cells.*  The step has carried the amounts F_i, F_j out of a cell through a facet.  At the start
    of the step a plane bounds body i in this cell; the share s of the strip that was swept through the facet
@@ -21,7 +22,7 @@ brings fractions into [0, 1].
 
 The normal of the plane that bounds body i in a cell is the slope of theta_i averaged at the vertices; the
 plane cuts off the mean of theta_i from the cell.  The strip is a prism between the facet and its place
-before the step.
+before the step.  About an axis shares are those of volumes, with the weight r.
 
 The moves keep N at every point, and int n_i and int X_i. So they keep masses and sum theta = 1, and, since
 bodies have one density, rho and momentum. A common volumetric energy depends on N alone. If f is linear in
@@ -55,6 +56,7 @@ from ngsolve import (
 )
 
 from ngvisco.errors import InputWarning, ParameterError
+from ngvisco.forms.cut_simplices import before, level, share_above
 from ngvisco.forms.mesh.mesh_arrays import VERTICES
 from ngvisco.forms.mesh.quadrature import compiled
 from ngvisco.forms.system import Step
@@ -70,10 +72,6 @@ _PASSES = 2
 """Number of exchanges between cells; the second exchange starts from the amounts that the first has moved."""
 _PLANES = 2
 """Number of planes that are placed in a cell, each with a better normal."""
-_HALVINGS = 45
-"""Number of bisections that determine the place of a plane to rounding."""
-_APART = 1e-6
-"""Spacing to which equal values at the vertices of a simplex are spread, over the range of the values."""
 _ROUNDING = 1e-12
 """Share of a cell's amounts below which an amount is a rounding error, whose sign must have no effect."""
 FAR = 0.7
@@ -103,7 +101,6 @@ def check_sharp(step: Step) -> None:
         (material.heat is not None, " for bodies with heat"),
         (bool(material.plastic_contents), " for bodies that harden"),
         (Communicator.of(mesh).is_distributed, " over ranks"),
-        (step.layout.symmetry.is_axisymmetric, " about an axis: planes are placed by areas"),
         ({cell.type for cell in mesh.Elements(VOL)} - {ET.TRIG, ET.TET}, " on quadrilaterals"),
     ):
         if is_wrong:
@@ -137,6 +134,8 @@ class Sharpening:
         edges = self._x[:, 1:] - self._x[:, :1]
         self._volumes = np.abs(np.linalg.det(edges)) / (2 if self.dim == 2 else 6)
         self._longest = float(self._volumes.max()) ** (1 / self.dim)
+        is_round = step.layout.symmetry.is_axisymmetric
+        self._radii = np.maximum(self._x[:, :, 0], 0.0) if is_round else None  # weights of volumes at corners
         slopes = np.swapaxes(np.linalg.inv(edges), 1, 2)
         self._slopes = np.concatenate([-slopes.sum(axis=1, keepdims=True), slopes], axis=1)  # of lambda
         self.swept, self._is_said = 0.0, False
@@ -173,16 +172,19 @@ class Sharpening:
         """Separate bodies of the present state at the end of a step of length ``tau``, s."""
         u, self._tau = self._values(), tau
         count, is_apart = len(self._amounts), np.zeros(len(self._mass), dtype=bool)
+        heights = -np.einsum("kond,kod->kon", tau * self._velocity[:, self._on], self._slopes)
+        strips = np.maximum(heights, 0.0)
+        is_passed = strips.max(axis=(1, 2), initial=0.0) >= 1  # strips began beyond these cells
         pairs = {
-            (i, j): self._is_pair(self._start, i, j) & self._is_pair(u, i, j)
+            (i, j): ~is_passed & self._is_pair(self._start, i, j) & self._is_pair(u, i, j)
             for i, j in combinations(range(count), 2)
         }
         for (i, j), pair in pairs.items():
-            self._between(u, i, j, self._defects(i, j, tau), pair)
+            self._between(u, i, j, self._defects(i, j, strips), pair)
         self._fill(u)
         for (i, j), pair in pairs.items():
             is_apart[self._within(u, i, j, pair)] = True
-        if count > 2:
+        if count > 2 or is_passed.any():
             self._bound(u, np.flatnonzero(~is_apart))
         self._state()[:, self._basis] = np.einsum("kfc,skc->skf", self._inverse, u)
 
@@ -225,7 +227,7 @@ class Sharpening:
             averaged = self._averaged(values, is_cut * self._volumes)
             height = np.where(is_cut[:, None], averaged, height)
             has_slope = np.ptp(height, axis=1) > NO_INTERFACE
-            height = np.where(has_slope[:, None], height - _level(height, theta)[:, None], 0.0)
+            height = np.where(has_slope[:, None], height - level(height, theta, self._radii)[:, None], 0.0)
             is_cut = has_slope & (np.minimum(theta, 1 - theta) > _LEAST)
             size = np.linalg.norm(np.einsum("kc,kcd->kd", height, self._slopes), axis=1) * self._longest
             values = height / np.where(is_cut, size, 1.0)[:, None]
@@ -236,19 +238,26 @@ class Sharpening:
         means = self._means(u[self._amounts])
         return np.clip(means[i] / means.sum(axis=0), 0, 1)
 
-    def _defects(self, i: int, j: int, tau: float) -> np.ndarray:
+    def _defects(self, i: int, j: int, strips: np.ndarray) -> np.ndarray:
         """Defect of the step's outflow of body i, (cells, facets), by the planes at the step's start.
 
-        Facets are numbered by their opposite corners.
+        Facets are numbered by their opposite corners; ``strips`` are the heights of the strips through them,
+        (cells, facets, corners of the facet), in heights of the cell.
         """
-        height, on, out = self._behind(self._start, i), self._on, tau * self._flux
+        height, on, out = self._behind(self._start, i), self._on, self._tau * self._flux
         cut = np.flatnonzero(np.ptp(height, axis=1) > 0)
-        height, path, slopes = height[cut], tau * self._velocity[cut], self._slopes[cut]
-        before = _before(height, path, slopes)
-        prism = [[height[:, on[:, n:]], before[:, on[:, : n + 1]]] for n in range(self.dim)]
-        shares = np.stack([_share(np.concatenate(part, axis=2)) for part in prism], axis=2)
-        sizes = np.maximum(-np.einsum("kond,kod->kon", path[:, on], slopes), 0)
+        path, slopes, sizes = self._tau * self._velocity[cut], self._slopes[cut], strips[cut]
         self.swept = max(self.swept, float(sizes.max(initial=0.0)))
+
+        def prisms(values: np.ndarray) -> np.ndarray:
+            """Values at the vertices of the simplices of strips, (cut cells, facets, simplices, vertices)."""
+            ends, starts = values[cut], before(values[cut], path, slopes)
+            parts = ((ends[:, on[:, n:]], starts[:, on[:, : n + 1]]) for n in range(self.dim))
+            return np.stack([np.concatenate(part, axis=2) for part in parts], axis=2)
+
+        radii = None if self._radii is None else np.maximum(prisms(self._radii), _ROUNDING * self._longest)
+        shares = share_above(prisms(height), radii)
+        sizes = sizes if radii is None else sizes * radii.mean(axis=3)
         size = sizes.sum(axis=2)
         behind = np.repeat(self._fraction(self._start, i)[:, None], self.dim + 1, axis=1)
         of_strip = (shares * sizes).sum(axis=2) / np.where(size > 0, size, 1.0)
@@ -313,7 +322,7 @@ class Sharpening:
         chosen = np.flatnonzero(pair & (np.ptp(height, axis=1) > 0))
         height = height[chosen]
         doubled = (np.column_stack([height, height[:, c]]) for c in range(self.dim + 1))
-        slope = np.stack([_share(heights) for heights in doubled], axis=1)
+        slope = np.stack([share_above(heights) for heights in doubled], axis=1)
         slope -= (slope * self._masses[chosen]).sum(axis=1, keepdims=True) / self._mass[chosen, None]
         slope *= self.dim + 2  # of the projection; the bound below scales it to 0.6 or less
         both = means[self._amounts][[i, j]][:, chosen].sum(axis=0)
@@ -399,49 +408,6 @@ class Sharpening:
                 else:
                     first[number] = cell, corner
         return vertices, np.array(rows, dtype=int).reshape(-1, 4), opposite
-
-
-def _level(heights: np.ndarray, theta: np.ndarray) -> np.ndarray:
-    """Level of linear functions with the values ``heights``, (cells, corners), that they exceed in the share
-    ``theta``, (cells,), of their cells."""
-    low, high = heights.min(axis=1), heights.max(axis=1)
-    level = np.where(theta < 0.5, high, low)
-    cut = np.minimum(theta, 1 - theta) > NO_INTERFACE
-    heights, theta, low, high = heights[cut], theta[cut], low[cut], high[cut]
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        is_more = _share(heights - middle[:, None]) > theta
-        low, high = np.where(is_more, middle, low), np.where(is_more, high, middle)
-    level[cut] = 0.5 * (low + high)
-    return level
-
-
-def _share(values: np.ndarray) -> np.ndarray:
-    """Share of simplices in which linear functions with ``values`` at the vertices are > 0, (..., vertices).
-
-    With d + 1 vertices the share is the sum over the v_i > 0 of v_i^d / prod_{j != i} (v_i - v_j).  If a
-    vertex is given twice, the share is weighted with (d + 1) lambda of this vertex.
-    """
-    count = values.shape[-1]
-    values = np.sort(values, axis=-1)
-    spread = _APART * np.maximum(np.ptp(values, axis=-1, keepdims=True), NO_INTERFACE)
-    values = values + spread * np.arange(count)
-    most = (values > 0).sum(axis=-1, keepdims=True) > count / 2
-    values = np.where(most, -values, values)  # few and large summands do not cancel
-    differences = values[..., :, None] - values[..., None, :] + np.eye(count)
-    share = (np.maximum(values, 0.0) ** (count - 1) / differences.prod(axis=-1)).sum(axis=-1)
-    return np.where(most[..., 0], 1 - share, share)
-
-
-def _before(heights: np.ndarray, path: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-    """Values of linear functions, (cells, corners), where matter at the corners was before the step.
-
-    ``heights`` are their values at corners, ``path`` the velocity there times the step, (cells, corners,
-    dim). The error of a rigid turn by the angle phi is of order phi^3.
-    """
-    turning = np.einsum("kcd,kce->kde", path, slopes)
-    back = path - 0.5 * np.einsum("kde,kce->kcd", turning, path)  # the path is an arc
-    return np.asarray(heights - np.einsum("kcd,ked,ke->kc", back, slopes, heights))
 
 
 def _numbers(space: FESpace) -> np.ndarray:

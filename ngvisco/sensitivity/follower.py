@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -104,14 +104,15 @@ class Follower:
 
         ``states`` are y_0, y_1, ..., and ``last`` is the last stage's solution.  ``v`` are coefficients of
         the velocity; those prescribed by moving walls are replaced.  The limiter's change of the run's state
-        is added.
+        is added, and the change by this run's own sharpening of interfaces.
         """
         step, ranges = self.step, self.step.layout.ranges
+        change = recorded.change + self._sharpened(recorded, [state.values for state in states])
         step.start_from(list(zip(recorded.weights, states, strict=False)))
         self.state[:] = last
         old, walls = step.state_old.vec.FV().NumPy(), self.state[ranges["v"]].copy()
         for name in step.layout.evolving:
-            self.state[ranges[name]] = (old + recorded.change)[ranges[name]]
+            self.state[ranges[name]] = (old + change)[ranges[name]]
         fixed = ~self.free_velocity
         self.state[ranges["v"]] = np.where(fixed & recorded.ends_at_stage, walls, v)
         if not recorded.ends_at_stage:
@@ -120,6 +121,28 @@ class Follower:
         step.stresses.start()
         step.local_unknowns.update()
         return self.state.copy(), self._momentum_rows()
+
+    def _sharpened(self, recorded: RecordedStep, states: Sequence[Mapping[str, np.ndarray]]) -> np.ndarray:
+        """Change by the sharpening of a step with ``states`` y_0, y_1, ..., less that of the recorded step,
+        (unknowns,)."""
+        sharpening, ranges = self.simulation.bounds.sharpening, self.step.layout.ranges
+        difference = np.zeros_like(self.state)
+        if sharpening is None:
+            return difference
+        of_run = (recorded.state, *(stage.state for stage in recorded.stages))
+        at_run = [{name: state[ranges[name]] for name in ("v", "z")} for state in of_run]
+        for sign, (start, *stages) in ((1.0, states), (-1.0, at_run)):
+            self.state[ranges["z"]] = start["z"]
+            sharpening.begin()
+            for stage, values in zip(recorded.stages, stages, strict=True):
+                for name in ("v", "z"):
+                    self.state[ranges[name]] = values[name]
+                sharpening.stage(stage.starts, stage.share)
+            end = sum(w * y["z"] for w, y in zip(recorded.weights, (start, *stages), strict=True))
+            self.state[ranges["z"]] = end
+            sharpening.put_apart(recorded.tau)
+            difference[ranges["z"]] += sign * (self.state[ranges["z"]] - end)
+        return difference
 
     def completed(self, state: np.ndarray) -> np.ndarray:
         """Set the present state with dependent unknowns updated, and return its coefficients."""

@@ -136,7 +136,8 @@ def gradient(
     discretised derivatives of the continuous equations.  The lengths of adaptive steps, the limiter's change
     of a state and the sides of upwinding are constants in the derivatives.  The limiter made errors of 0.1 %
     in runs with three limited cells; sides make none, except where matter rests at a facet with a jump: there
-    the derivative is between the derivatives to both sides.
+    the derivative is between the derivatives to both sides.  The tangent differentiates what
+    ``Discretisation.sharp`` moves, too; the adjoint is refused for such a run.
 
     Raises ParameterError or UnknownNameError for an unknown number or parameter, and for damage, relaxed
     steps and several ranks, which have no derivatives here; StepError as ``Simulation.run``; StopRequested
@@ -188,6 +189,9 @@ def gradient(
     if not is_start and any(parameter.is_of_start for parameter in parameters):
         expected = "no start values: the run has begun, and goes on from its present state"
         raise ParameterError("by", by, expected)
+    if method == "adjoint" and simulation.bounds.sharpening is not None:
+        expected = "'tangent' for a run with Discretisation.sharp, whose planes have no transposed derivative"
+        raise ParameterError("method", method, expected)
     simulation.stop_requested = False
     slopes = Slopes(base) if method == "adjoint" else None
     request = {"of": of, "by": list(by), "until": until, "method": method, "order": order}

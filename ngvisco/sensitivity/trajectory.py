@@ -97,7 +97,7 @@ class Trajectory:
     folder has.  Parts of the derivatives' state are kept there by name.
 
     Raises ParameterError for a run without derivatives: with growing damage, pistons on oblique walls,
-    relaxed steps, sharp interfaces, viscosities in series for constants in cells, or several ranks.
+    relaxed steps, viscosities in series for constants in cells, or several ranks.
     """
 
     simulation: Simulation
@@ -116,8 +116,6 @@ class Trajectory:
             and "the impulse of a piston on an oblique or curved wall at a step's end has no derivative",
             "relaxation": run.arguments["time"].relaxation
             and "the length of a relaxed step is a function of its solution",
-            "discretisation": run.bounds.sharpening is not None
-            and "the sharpening of interfaces at a step's end has no derivative",
             "mesh": run.ranks.is_distributed and "the transposed systems of several ranks are not known",
             "interfaces": bool(run.rothe_step.context.recovered_slopes)
             and "with constants in cells the direction of interfaces between viscosities has no derivative",

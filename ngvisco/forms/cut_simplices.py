@@ -1,0 +1,69 @@
+"""Half-spaces that cut simplices: shares of volume, places of planes, and values where matter was before.
+
+A linear function h with values at the vertices of a simplex, of dimension d, is > 0 in the share
+
+    s = sum over the v_i > 0 of v_i^d / prod_{j != i} (v_i - v_j)
+
+of it.  If a vertex is given twice, s is weighted with (d + 1) lambda of this vertex.  So the share of a
+volume with a linear weight w, as r about an axis, is sum_c w_c s_c / sum_c w_c, where s_c has vertex c twice.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ngvisco.physics.bodies import NO_INTERFACE
+
+_HALVINGS = 45
+"""Number of bisections that determine the place of a plane to rounding."""
+_APART = 1e-6
+"""Spacing to which equal values at the vertices of a simplex are spread, over the range of the values."""
+
+
+def share_above(values: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
+    """Share of simplices in which linear functions with ``values`` at the vertices, (..., vertices), are > 0.
+
+    ``weights`` are the values at the vertices of a linear weight of volumes, None for the weight 1.
+    """
+    if weights is not None:
+        doubled = [
+            share_above(np.concatenate([values, v], axis=-1)) for v in np.split(values, values.shape[-1], -1)
+        ]
+        return np.asarray((np.stack(doubled, axis=-1) * weights).sum(axis=-1) / weights.sum(axis=-1))
+    count = values.shape[-1]
+    values = np.sort(values, axis=-1)
+    spread = _APART * np.maximum(np.ptp(values, axis=-1, keepdims=True), NO_INTERFACE)
+    values = values + spread * np.arange(count)
+    most = (values > 0).sum(axis=-1, keepdims=True) > count / 2
+    values = np.where(most, -values, values)  # few and large summands do not cancel
+    differences = values[..., :, None] - values[..., None, :] + np.eye(count)
+    part = (np.maximum(values, 0.0) ** (count - 1) / differences.prod(axis=-1)).sum(axis=-1)
+    return np.where(most[..., 0], 1 - part, part)
+
+
+def level(heights: np.ndarray, theta: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
+    """Level of linear functions with the values ``heights``, (cells, corners), that they exceed in the share
+    ``theta``, (cells,), of their cells; ``weights`` are those of ``share_above``."""
+    low, high = heights.min(axis=1), heights.max(axis=1)
+    result = np.where(theta < 0.5, high, low)
+    cut = np.minimum(theta, 1 - theta) > NO_INTERFACE
+    heights, theta, low, high = heights[cut], theta[cut], low[cut], high[cut]
+    weights = None if weights is None else weights[cut]
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        is_more = share_above(heights - middle[:, None], weights) > theta
+        low, high = np.where(is_more, middle, low), np.where(is_more, high, middle)
+    result[cut] = 0.5 * (low + high)
+    return result
+
+
+def before(values: np.ndarray, path: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """Values of linear functions, (cells, corners), where matter at the corners was before the step.
+
+    ``values`` are those at corners, ``path`` the velocity there times the step, (cells, corners, dim),
+    ``slopes`` those of the barycentric coordinates. The error of a rigid turn by the angle phi is of order
+    phi^3.
+    """
+    turning = np.einsum("kcd,kce->kde", path, slopes)
+    back = path - 0.5 * np.einsum("kde,kce->kcd", turning, path)  # the path is an arc
+    return np.asarray(values - np.einsum("kcd,ked,ke->kc", back, slopes, values))
