@@ -31,7 +31,7 @@ def text_of(path: Path) -> str:
     if len(raw) > MAX_FILE_SIZE:
         raise locator.error((), f"longer than {MAX_FILE_SIZE} bytes")
     try:
-        return raw.decode()
+        return raw.decode("utf-8-sig")  # some editors begin a file with a mark of the byte order
     except UnicodeDecodeError as error:
         line = raw[: error.start].count(b"\n") + 1
         raise CaseError(str(path), [Fault("", "not a text in UTF-8", line)]) from error

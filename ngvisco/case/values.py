@@ -64,6 +64,10 @@ def _number(value: Any, alternative: str = "an expression in quotes") -> Any:
 
 
 def _scalar(value: Any) -> Any:
+    if is_table(value):
+        if table(value["times"], value["values"]).dim != 1:
+            raise ValueError("expected one column of values: column = 1, or another number, chooses one")
+        return value
     if not isinstance(value, str):
         return _number(value)
     parse(value)
@@ -72,14 +76,13 @@ def _scalar(value: Any) -> Any:
 
 def _vector(value: Any) -> Any:
     """Check an array of components, each possibly a table of time, or one table of time for all."""
-    parts = [value] if is_table(value) else value
-    if not isinstance(parts, list) or not parts or any(isinstance(part, list) for part in parts):
+    if is_table(value):
+        table(value["times"], value["values"])
+        return value
+    if not isinstance(value, list) or not value or any(isinstance(part, list) for part in value):
         raise ValueError('expected an array of its components, as in [0, "-1 + x"]')
-    for part in parts:
-        if is_table(part):
-            table(part["times"], part["values"])
-        else:
-            _scalar(part)
+    for part in value:
+        _scalar(part)
     return value
 
 
@@ -162,7 +165,7 @@ def _field(words: str, check: Callable[[Any], Any], json: dict[str, Any]) -> Val
 
 _EXPRESSION = "number or expression"
 _TEXT, _ARRAY = {"type": ["number", "string"]}, {"type": ["number", "string", "array"]}
-SCALAR = _field(_EXPRESSION, _scalar, _TEXT)
+SCALAR = _field(_EXPRESSION, _scalar, {"type": ["number", "string", "object"]})
 VECTOR = _field(
     "array of numbers or expressions",
     _vector,

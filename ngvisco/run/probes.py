@@ -14,7 +14,7 @@ from ngvisco.forms.mesh.locating import Located, as_points
 from ngvisco.forms.reactions import WallReactions
 from ngvisco.run.fields import component_fields, components
 from ngvisco.run.files import AnyPath
-from ngvisco.run.series import Every, Series
+from ngvisco.run.series import FIRST, Every, Series
 
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
@@ -224,6 +224,9 @@ class Integrals(Series):
 
     def prepare(self, simulation: Simulation) -> list[str]:
         fields = components(simulation.fields)
+        if taken := [name for name in self.integrands if name in FIRST]:
+            expected = f"another name than {taken[0]!r}, which is the table's own column"
+            raise ParameterError("Integrals.integrands", taken[0], expected)
 
         def integrand(name: str, value: Any) -> CoefficientFunction:
             try:

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 Every = Annotated[int, Quantity("1", ">= 1")]
 """Number of steps from one row, file or checkpoint to the next."""
+FIRST = ("step", "time")
+"""Names of a table's first columns."""
 
 
 class Series(ABC):
@@ -96,7 +98,7 @@ class Series(ABC):
         return False
 
     def start(self, simulation: Simulation) -> None:
-        self.columns = ["step", "time", *self.prepare(simulation)]
+        self.columns = [*FIRST, *self.prepare(simulation)]
         earlier, path, ranks = self.rows, self.path, simulation.ranks
         if not earlier and simulation.number > 0 and path is not None:
             earlier = ranks.on_first(lambda: read_series(path, self.columns))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import inspect
 from collections.abc import Callable, Collection, Mapping, Sequence
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -87,6 +88,10 @@ class Columns:
                 raise ParameterError("of", name, f"a column that has a derivative: {refused[name]}")
             if name not in differentiable:
                 raise UnknownNameError("column", name, differentiable, "of")
+            if (count := [*ledger.columns, *chain.from_iterable(of_tables)].count(name)) > 1:
+                raise ParameterError(
+                    "of", name, f"a name of one column, not of {count}: rename a table's column"
+                )
 
         def mask(kind: Collection[str]) -> np.ndarray:
             return np.array([name in kind for name in names], dtype=bool)

@@ -76,3 +76,31 @@ def test_bad_tables_are_faults_of_their_keys(tmp_path, old, new, message):
     with pytest.raises(CaseError, match=message) as caught:
         load_case(written(tmp_path, CASE.replace(old, new)))
     assert ":18: loads.0.g" in str(caught.value)
+
+
+PRESSED = CASE.replace('kind = "Traction"\nf = { file = "pull.csv" }', 'kind = "Open"\npressure = PRESSURE')
+
+
+def test_a_number_of_a_wall_is_a_table(tmp_path):
+    """A file may begin with a mark of the byte order."""
+    table = '{ file = "pull.csv", column = 1 }'
+    case = load_case(written(tmp_path, "\ufeff" + PRESSED.replace("PRESSURE", table)))
+    again = parse_case(case.resolved, "again", Path("nowhere"))
+    assert again.resolved == case.resolved
+    run = again.simulation(again.mesh())
+    average = run.rothe_step.context.average
+    run.rothe_step.context.set_loads(0.0, 0.1)
+    assert average(run.rothe_step.walls.conditions["top"].pressure)(run.mesh(0.3, 0.3)) == pytest.approx(2)
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ('{ file = "pull.csv" }', "expected one column of values"),
+        ('{ file = "pull.csv", row = 1 }', "a number, or an expression"),
+    ],
+)
+def test_a_number_has_one_column(tmp_path, table, message):
+    with pytest.raises(CaseError, match=message) as caught:
+        load_case(written(tmp_path, PRESSED.replace("PRESSURE", table)))
+    assert "walls.top.pressure" in str(caught.value)

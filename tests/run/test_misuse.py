@@ -102,6 +102,7 @@ observed(WallForces(about=(1,))) | WallForces.about
 observed(Integrals({})) | not empty
 observed(Integrals({"a": CF((1, 2))})) | scalar
 observed(Integrals({"a": "densty"})) | did you mean 'density'
+observed(Integrals({"time": "density"})) | expected another name than 'time'
 observed(Bodies()) | bodies
 VTKSeries("vtk", fields=[]) | at least one name, and each once
 Probes({"p": (0.5, 0.5)}, fields=[]) | at least one name, and each once

@@ -181,3 +181,11 @@ def test_without_one_of_the_states_the_slope_of_a_distance_is_wrong(monkeypatch)
 def test_columns_without_a_derivative_are_refused_with_the_reason(method, column, said):
     with pytest.raises(nv.ParameterError, match=said):
         nv.gradient(run(), UNTIL, of=[f"{column} at 0.06"], by=["creep.G_m"], method=method)
+
+
+@pytest.mark.parametrize("method", ["tangent", "adjoint"])
+def test_a_name_of_two_columns_is_refused(method):
+    """The table's column would stand silently for the ledger's."""
+    simulation = run(observers=[nv.Integrals({"kinetic": "density"})])
+    with pytest.raises(nv.ParameterError, match="a name of one column, not of 2"):
+        nv.gradient(simulation, UNTIL, of=["kinetic at 0.06"], by=["creep.G_m"], method=method)

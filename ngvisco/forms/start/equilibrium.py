@@ -228,10 +228,10 @@ class Column:
             area = float(Integrate(self._weighed(CF(1.0)), self.mesh, definedon=region))
             return lambda f: float(Integrate(self._weighed(f), self.mesh, definedon=region)) / area
         if datum is not None:
-            where = as_points("Initial.datum", datum, self.mesh.dim)
+            where = as_points("Initial.datum_point", datum, self.mesh.dim)
             if len(where) != 1:
-                raise ParameterError("Initial.datum", datum, "the name of a wall, or one point, m")
-            point = Located(self.mesh, where, ["Initial.datum"])
+                raise ParameterError("Initial.datum_point", datum, "one point, m")
+            point = Located(self.mesh, where, ["Initial.datum_point"])
             return lambda f: float(np.asarray(point.values(CF((f, 0.0))))[0, 0])
 
         def highest(f: CoefficientFunction) -> float:
