@@ -14,7 +14,7 @@ import numpy as np
 from ngsolve import CoefficientFunction
 
 from ngvisco.forms.unknown_values import UnknownValues
-from ngvisco.physics.arrays import TINY, Array, Linear
+from ngvisco.physics.arrays import Array, Linear, derivatives
 from ngvisco.physics.bodies import AMOUNT, NO_INTERFACE, Interface
 from ngvisco.physics.flow_rules.rule import FlowRule
 from ngvisco.physics.material import StateSpace, mandel_stress, rate_power
@@ -136,7 +136,12 @@ class Rates:
 
     def driving(self, mechanism: CreepMechanism, u: UnknownValues) -> CoefficientFunction:
         """Mandel stress that drives a mechanism, per volume of its body, 3x3, Pa."""
-        M = self.mandel(u, mechanism)
+        return self.of_body(mechanism, self.mandel(u, mechanism), u)
+
+    def of_body(
+        self, mechanism: CreepMechanism, M: CoefficientFunction, u: UnknownValues
+    ) -> CoefficientFunction:
+        """The Mandel stress M of a mechanism per volume of its body, 3x3, Pa."""
         return M if mechanism.body is None else (1 / mechanism.share(u.z_tensors)) * M
 
     def read_values(
@@ -290,14 +295,21 @@ class TabulatedRates(Rates):
     def weights(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Weights of the components' rates, and of the openings' rates subtracted where matter parts, both
         (n, points)."""
-        values = self._states.tensors(lambda: Array(z, None))
-        shares, of_openings = self.material.taking_part(values), self.material.parted(values)
         weights, parted = np.ones(z.shape, z.dtype), np.zeros(z.shape, z.dtype)
-        for name, components in self._shared.items():
-            weights[components] = shares[name].value
-            if name in of_openings:
-                parted[components] = weights[components] * of_openings[name].value
+        for name, (share, of_opening) in self._shares(Array(z, None)).items():
+            weights[self._shared[name]] = share.value
+            if of_opening is not None:
+                parted[self._shared[name]] = of_opening.value
         return weights, parted
+
+    def _shares(self, z: Array) -> dict[str, tuple[Array, Array | None]]:
+        """Weights of the variables' rates, and of the openings' rates subtracted where matter parts, by
+        name."""
+        values = self._states.tensors(lambda: z)
+        shares, of_openings = self.material.taking_part(values), self.material.parted(values)
+        return {
+            n: (shares[n], shares[n] * of_openings[n] if n in of_openings else None) for n in self._shared
+        }
 
     def openings(self, u: UnknownValues) -> np.ndarray | None:
         """Matrix of ``opening`` where the material parts, (dim^2, entries of L, points), else None.
@@ -330,23 +342,28 @@ class TabulatedRates(Rates):
         """Derivatives d rate/dz, (points, n, n), and d^2(zeta : rate)/dX dz, (points, X, n)."""
         of_rate, of_stress = self.tensors.rate_slope(X), self.tensors.stress_slope(zeta)
         if self.weighed is not None:
-            (weights, parted), shared = self.weights(z), self.weighed.columns(z)
+            weights, parted = self.weights(z)
             of_rate += weights.T[:, :, None] * self.weighed.rate_slope(X)
             of_stress += self.weighed.stress_slope(weights * zeta)
-            by_z, parted_by_z = np.empty_like(of_rate), np.empty_like(of_rate)
-            for m, along in enumerate((TINY * 1j) * np.eye(len(z))):
-                changed = self.weights(z + along[:, None])
-                by_z[:, :, m], parted_by_z[:, :, m] = (values.imag.T / TINY for values in changed)
-            of_rate += by_z * self.weighed.rate(z, X).T[:, :, None]
-            of_stress += np.einsum("pnx,pnm,np->pxm", shared, by_z, zeta)
             if openings is not None:
                 opened = self._opening(X, openings)
                 of_rate -= parted.T[:, :, None] * self.weighed.rate_slope(opened)
-                of_rate -= parted_by_z * self.weighed.rate(z, opened).T[:, :, None]
                 slopes = self.weighed.stress_slope(parted * zeta)
                 of_stress -= self._opened(slopes.transpose(1, 2, 0), openings).transpose(2, 0, 1)
-                columns = self._opened(shared.T, openings).T
-                of_stress -= np.einsum("pnx,pnm,np->pxm", columns, parted_by_z, zeta)
+            for name, (share, of_opening) in self._shares(values := Array(z)).items():
+                where, of_name = self._shared[name], np.zeros_like(zeta)
+                of_name[where] = zeta[where]
+                stress = self.weighed.stress(z, of_name, 0, len(X))
+                parts = [(share, self.weighed.rate(z, X)[where], stress)]
+                if openings is not None and of_opening is not None:
+                    rate = self.weighed.rate(z, opened)[where]
+                    parts.append((of_opening, -rate, -self._opened(stress, openings)))
+                for weight, rates, stresses in parts:
+                    (by_z,) = derivatives(weight, [values])
+                    read = np.flatnonzero(by_z.any(axis=1))
+                    along = by_z[read].T[:, None]
+                    of_rate[:, where, read] += rates.T[:, :, None] * along
+                    of_stress[:, :, read] += stresses.T[:, :, None] * along
         return of_rate, of_stress
 
     def _opening(self, X: np.ndarray, openings: np.ndarray) -> np.ndarray:

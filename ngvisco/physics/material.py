@@ -190,6 +190,11 @@ class Material(ABC):
         return ()
 
     @property
+    def linear(self) -> tuple[str, ...]:
+        """Names of variables in which phi is jointly linear: phi'' is zero between any two of them."""
+        return ()
+
+    @property
     def referential_density(self) -> Modulus | None:
         """The density rho_R, kg/m^3, of an energy that reads rho = rho_R/J; None (default) for others.
 

@@ -232,9 +232,21 @@ class Mixture(Material):
     def where_means_do(self) -> frozenset[str]:
         return frozenset([_LIGHTEST])
 
-    @cached_property
+    @property
+    def summed(self) -> tuple[tuple[str, ...], ...]:
+        groups = (
+            tuple(v.name for v in self.densities(body.name) if v.name != AMOUNT + body.name)
+            for body in self.bodies
+        )
+        return tuple(group for group in groups if group)
+
+    @property
     def linear(self) -> tuple[str, ...]:
-        """Names of variables in which the energy of shear and hardening is linear."""
+        return tuple(self.linear_contents)
+
+    @cached_property
+    def linear_in_shears(self) -> tuple[str, ...]:
+        """Names of variables in which the energy of shear and hardening is jointly linear."""
         names = list(self.linear_contents)
         if all(psi.is_linear for psi in self.energies.values()) and not self.plastic_contents:
             names += [AMOUNT + body.name for body in self.bodies]
@@ -339,6 +351,7 @@ class _MixturePart(Material):
 
     of: Callable[[Values], Any]
     transported: tuple[Variable, ...]
+    linear: tuple[str, ...] = ()
 
     @property
     def variables(self) -> tuple[Variable, ...]:
@@ -359,7 +372,7 @@ class _InEquilibrium:
         self.parameters = [slices[v.name].start for v in mixture.parameters]
         self.amounts = {b.name: slices[AMOUNT + b.name].start for b in mixture.bodies}
         self.shared = [] if self.heat is None else [slices[self.heat.entropy.name].start]
-        self.shears = respond(_MixturePart(shear, mixture.variables), dim, mixture.linear)
+        self.shears = respond(_MixturePart(shear, mixture.variables, mixture.linear_in_shears), dim)
         of_volume = (Jacobian("J"), *(Entropy("S") for _ in self.shared), *mixture.parameters)
         parts = (_MixturePart(partial(mixture.volumetric, name), of_volume) for name in self.amounts)
         self.volumes = [respond(part, dim) for part in parts]

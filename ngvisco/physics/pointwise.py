@@ -9,7 +9,7 @@ tree of small tensor operations for each point.  Where an energy can be written 
 """
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from functools import cache, cached_property
 from typing import Any, TypeAlias
 
@@ -73,21 +73,12 @@ def evaluated(function: Callable[[Tensor], Tensor], vectors: np.ndarray) -> np.n
         return np.asarray(function(field)(points[:count])).reshape(count, -1)
 
 
-def respond(material: Material, dim: int, linear: Iterable[str] = ()) -> Respond:
+def respond(material: Material, dim: int) -> Respond:
     """The response of a material: its own if it has one, else by arrays or by its energy's expression.
 
     Arrays are used if they reproduce the expression's energy and slope; complex increments of the slope then
-    give the Hessian.
-
-    Parameters
-    ----------
-    linear : names, optional
-        Names of variables in which the energy is jointly linear: their increments are not needed.
-
-    Raises
-    ------
-    ParameterError
-        If arrays cannot evaluate the energy and NGSolve's second derivative of it is wrong.
+    give the Hessian.  Raises ParameterError if arrays cannot evaluate the energy and NGSolve's second
+    derivative of it is wrong.
     """
     if (response := material.response(dim)) is not None:
         return response
@@ -95,18 +86,23 @@ def respond(material: Material, dim: int, linear: Iterable[str] = ()) -> Respond
     if both is None or not by_expression.agrees(both):
         by_expression.check()
         return by_expression
-    return ArrayResponse(material, dim, both, linear)
+    return ArrayResponse(material, dim, both)
+
+
+def curved_components(material: Material, dim: int) -> np.ndarray:
+    """Numbers of the components of a state in which the energy is not jointly linear (``Material.linear``)."""
+    states = material.states(dim)
+    curved = np.ones(states.size, dtype=bool)
+    for name in material.linear:
+        curved[states.slices[name]] = False
+    return np.flatnonzero(curved)
 
 
 class ArrayResponse:
     """The response of an energy by arrays, with the Hessian by complex increments of the slope."""
 
-    def __init__(self, material: Material, dim: int, both: Both, linear: Iterable[str] = ()) -> None:
-        self.both, states = both, material.states(dim)
-        curved = np.ones(states.size, dtype=bool)
-        for name in linear:
-            curved[states.slices[name]] = False
-        self.curved = np.flatnonzero(curved)
+    def __init__(self, material: Material, dim: int, both: Both) -> None:
+        self.both, self.curved = both, curved_components(material, dim)
 
     def slope(self, z: np.ndarray) -> np.ndarray:
         """phi'(z), both (N, points), real or complex."""

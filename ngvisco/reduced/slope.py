@@ -11,7 +11,7 @@ import numpy as np
 from ngvisco.forms.mesh.points import CellPoints
 from ngvisco.forms.system import Step
 from ngvisco.physics.arrays import slope_along
-from ngvisco.physics.pointwise import ArrayResponse, slope_at
+from ngvisco.physics.pointwise import ArrayResponse, curved_components, slope_at
 from ngvisco.reduced.point_fields import TOGETHER, derivative_of, repeated_along
 
 
@@ -36,10 +36,13 @@ class PointwiseSlope:
         """Number of the group of each component, -1 for components that are in none."""
         for number, group in enumerate(groups):
             self.owner[group] = number
-        by_groups = itertools.zip_longest(*groups)
+        curved = every if self.lagged.any() else curved_components(material, step.mesh.dim)
+        self._linear = np.setdiff1d(every, curved)
+        """Components in which phi is jointly linear."""
+        by_groups = itertools.zip_longest(*(np.intersect1d(group, curved) for group in groups))
         self._together = [[int(m) for m in columns if m is not None] for columns in by_groups]
         """Groups of components; one derivative gives the columns of phi'' of all components in a group."""
-        self._together += [[int(m)] for m in self._shared]
+        self._together += [[int(m)] for m in np.intersect1d(self._shared, curved)]
         self._frozen: tuple[np.ndarray, np.ndarray] | None = None
         self.response = step.tabulated_rates.response
         self.arrays = self.response.slope if isinstance(self.response, ArrayResponse) else None
@@ -67,7 +70,8 @@ class PointwiseSlope:
     def hessian(self, z_values: np.ndarray) -> np.ndarray:
         """phi''(z), (n, n, points), for real z.
 
-        One derivative gives a column of each branch: phi'' is zero between branches, and symmetric.
+        One derivative gives a column of each branch: phi'' is zero between branches, and symmetric; columns
+        of components in which phi is linear follow from the others.
         """
         n = self.components
         result = np.zeros((n, n, z_values.shape[1]))
@@ -81,6 +85,7 @@ class PointwiseSlope:
         for columns in self._together:
             for m in columns if len(columns) > 1 else ():
                 result[self._shared, m] = result[m, self._shared]
+        result[:, self._linear] = result[self._linear].swapaxes(0, 1)
         return result
 
     def _along(self, z_values: np.ndarray, directions: np.ndarray) -> Iterator[np.ndarray]:

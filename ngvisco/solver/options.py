@@ -66,7 +66,7 @@ class SplitOptions:
     """Largest number of GMRES iterations for the flow's linear system."""
     direct_up_to: Pair = (3_000, 3_000)
     """Number of unknowns of v up to which the whole velocity tangent is factorised; with more unknowns two
-    levels are faster."""
+    levels are faster. Several bodies in 2D have ``direct_at_most`` in its place."""
     direct_at_most: Pair = (100_000, 15_000)
     """Number of unknowns of v up to which the whole tangent is factorised for the rest of a step if
     ``flow_iterations`` with two levels do not solve the flow's system."""

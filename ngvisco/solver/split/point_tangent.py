@@ -13,7 +13,7 @@ contribute to K at their points.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +23,7 @@ from ngvisco.algebra.resolvent import Resolvent, resolvents
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import PointTerm
 from ngvisco.physics.arrays import Array
+from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.reduced.evaluation import CellTerms
 from ngvisco.reduced.operators import Operators
 from ngvisco.reduced.point_fields import TOGETHER, derivative_of, incremented, repeated, repeated_along
@@ -49,18 +50,26 @@ class _AtPoints:
         return np.ascontiguousarray(self.slope.hessian(u.z.value).transpose(2, 0, 1))
 
     def _slopes(
-        self, terms: CellTerms, u: Fields, curvature: np.ndarray, creep: bool = False
-    ) -> Iterator[tuple[slice, dict[str, np.ndarray]]]:
-        """Yield the derivatives by z of the factors of the terms ``asked``, and of ``creep``; zeta changes
-        with z by phi''.
+        self, read: Callable[[Fields, int], dict[str, np.ndarray]], u: Fields, curvature: np.ndarray
+    ) -> Iterator[tuple[np.ndarray, dict[str, np.ndarray]]]:
+        """Yield the derivatives by z of what ``read`` returns; zeta changes with z by phi''.
 
-        Each item has a range of z's components and the derivatives by them."""
-        first, zeta = 0, curvature.transpose(2, 1, 0)
-        for k, changed in incremented(u, z=np.eye(self.components)[:, :, None], zeta=zeta):
-            some, first = slice(first, first + k), first + k
-            yield some, {name: derivative_of(g, k) for name, g in self._read(terms, changed, creep).items()}
+        Each item has numbers of z's components and the derivatives by them; all other derivatives vanish.
+        ``read`` takes the fields at points repeated several times, and this number.  A random increment of
+        the components of single branches or bodies tests whether anything depends on them.
+        """
+        is_own, every = self.slope.owner >= 0, np.eye(self.components)
+        probe = np.random.default_rng(0).standard_normal((1, self.components, 1)) * is_own[:, None]
+        _, changed = next(incremented(u, z=probe, zeta=probe))
+        depends = any(values.imag.any() for values in read(changed, 1).values())
+        asked = np.flatnonzero(~is_own | depends)
+        first, zeta = 0, curvature.transpose(2, 1, 0)[asked]
+        for k, changed in incremented(u, z=every[asked, :, None], zeta=zeta):
+            some, first = asked[first : first + k], first + k
+            yield some, {name: derivative_of(g, k) for name, g in read(changed, k).items()}
 
-    def _read(self, terms: CellTerms, u: Fields, creep: bool) -> dict[str, np.ndarray]:
+    def _factors(self, terms: CellTerms, u: Fields) -> dict[str, np.ndarray]:
+        """Factors of the terms ``asked``."""
         return terms.factors(self._asked, u)
 
     def _places(self, cells: slice) -> slice:
@@ -103,7 +112,7 @@ class CollocatedTangent(_AtPoints):
         u = self.terms.fields(at.coefficients)
         self.curvature = self._curvature(u)
         self.rate_slope = np.zeros((self.op.points.count, self.components, self.components))
-        for some, slopes in self._slopes(self.terms, u, self.curvature):
+        for some, slopes in self._slopes(lambda u, _: self._factors(self.terms, u), u, self.curvature):
             self.rate_slope[:, :, some] -= slopes["z"].transpose(2, 0, 1)
 
     def follow(self, dz: np.ndarray, length: float) -> None:
@@ -161,11 +170,8 @@ class PointTangent(_AtPoints):
             if self._weighing:
                 self.weight = np.zeros((count, rates.dim, n))
 
-    def _read(self, terms: CellTerms, u: Fields, creep: bool) -> dict[str, np.ndarray]:
-        values = {mean.name: mean.value(u).value for mean in self._means}
-        if creep:
-            values["creep"] = self.residual.rates.creep_components(u)
-        return values | super()._read(terms, u, creep)
+    def _factors(self, terms: CellTerms, u: Fields) -> dict[str, np.ndarray]:
+        return {mean.name: mean.value(u).value for mean in self._means} | super()._factors(terms, u)
 
     def begin(self, at: Evaluation) -> None:
         """Start the linearisation at an evaluation: linearise at the collocation points of all cells."""
@@ -201,8 +207,9 @@ class PointTangent(_AtPoints):
         """K, (points, n, n), the force's derivatives, (points, X, n), and the derivatives ``beside`` of
         ``PointValues``; zeta changes with z by phi''.
 
-        Rates are products with constant tensors; creep, and terms that read z or zeta, are differentiated by
-        complex increments of z and zeta.  To leading order the increment of -(w . grad z) : zeta, with its
+        Rates are products with constant tensors; creep depends on z through its driving stress, whose
+        derivatives ``force`` has.  What else creep reads of z and zeta, and terms that read them, are
+        differentiated by complex increments.  To leading order the increment of -(w . grad z) : zeta, with its
         part on facets, is div w times phi'(z) : dz; the flux of densities is approximated alike.
         """
         rates, curvature, z, zeta = self.residual.rates, self._curvature(u), u.z.value, u.zeta.value
@@ -213,19 +220,20 @@ class PointTangent(_AtPoints):
             X[g:] = rates.creep_components(u)
         K, force = rates.slopes(z, X, zeta, rates.openings(u))
         force += np.matmul(columns.swapaxes(1, 2), curvature)
-        by_stress = self._creep_by_stress(u) if self._creeps else []
-        if by_stress is not None:  # by the chain rule: force has the derivatives of the driving stresses
-            for i, of_stress in enumerate(by_stress):
+        if self._creeps:
+            for i, of_stress in enumerate(self._creep_by_stress(u)):
                 where, (rows, seen) = rates.components_of(i), self._of_mechanisms[i]
                 driving = np.matmul(of_stress, np.ascontiguousarray(force[:, where, seen]))
                 K[:, rows[:, None], seen] += np.matmul(columns[:, rows, where], driving)
+            if not all(reads_stress_alone(m.rule) and m.body is None for m in rates.mechanisms):
+                for some, slopes in self._slopes(self._creep_at_stress(u), u, curvature):
+                    if slopes["creep"].any():
+                        K[:, :, some] += np.matmul(columns[:, :, g:], slopes["creep"].transpose(2, 0, 1))
         force[:, rates.tensors.trace] += zeta.T[:, None]
-        if by_stress is not None and not self._asked:
-            return K, force, {}
-        of_creep, beside = columns[:, :, g:], dict[str, np.ndarray]()
-        for some, slopes in self._slopes(terms, u, curvature, by_stress is None):
-            if "creep" in slopes:
-                K[:, :, some] += np.matmul(of_creep, slopes["creep"].transpose(2, 0, 1))
+        beside = dict[str, np.ndarray]()
+        if not self._asked:
+            return K, force, beside
+        for some, slopes in self._slopes(lambda u, _: self._factors(terms, u), u, curvature):
             if "z" in slopes:
                 K[:, :, some] -= slopes["z"].transpose(2, 0, 1)
             if "grad v" in slopes:
@@ -234,7 +242,7 @@ class PointTangent(_AtPoints):
             if (radius := radius_of(u)) is not None and "v" in slopes:
                 force[:, plane, some] += (radius * slopes["v"][0]).T
                 slopes["v"][0] = 0.0
-            for name in slopes.keys() - {"z", "grad z", "creep", "grad v"}:
+            for name in slopes.keys() - {"z", "grad z", "grad v"}:
                 *kind, components, points = slopes[name].shape  # kind is empty for a number
                 size = math.prod(kind)  # a length -1 would fail on a rank without cells
                 of_name = beside.setdefault(name, np.zeros((len(K), size, len(z))))
@@ -244,42 +252,50 @@ class PointTangent(_AtPoints):
     def _relaxed(self, mechanism: int) -> tuple[np.ndarray, np.ndarray]:
         """Numbers of the components that a mechanism relaxes, and of those that its driving stress reads."""
         rates, owner, every = self.residual.rates, self.slope.owner, np.arange(self.components)
-        if rates.weighed is not None:
-            return every, every
         where = rates.components_of(mechanism)
-        linear = rates.tensors.linear[where] != 0
-        is_relaxed = linear.any(axis=(0, 2)) | rates.tensors.constant[where].any(axis=0)
+        parts = [rates.tensors, *([] if rates.weighed is None else [rates.weighed])]
+        linear = np.any([part.linear[where] != 0 for part in parts], axis=0)
+        is_relaxed = linear.any(axis=(0, 2)) | np.any([part.constant[where] for part in parts], axis=(0, 1))
         branches = np.unique(owner[is_relaxed])
         if len(branches) != 1 or branches[0] < 0:
             return np.flatnonzero(is_relaxed), every
         is_read = (owner == branches[0]) | (owner < 0) | linear.any(axis=(0, 1))
         return np.flatnonzero(is_relaxed), np.flatnonzero(is_read)
 
-    def _creep_by_stress(self, u: Fields) -> list[np.ndarray] | None:
-        """Derivatives of each mechanism's Pi by d(zeta : rate)/dPi, (points, p, p): through the driving
-        stress.
+    def _creep_at_stress(self, u: Fields) -> Callable[[Fields, int], dict[str, np.ndarray]]:
+        """The function, for ``_slopes``, of all Pi at changed fields with the Mandel stresses of ``u``."""
+        rates = self.residual.rates
+        stresses = [rates.mandel(u, mechanism).value for mechanism in rates.mechanisms]
 
-        None if a rate depends on z or zeta in another way; a random increment of both tests this."""
+        def read(changed: Fields, count: int) -> dict[str, np.ndarray]:
+            parts = []
+            for mechanism, stress in zip(rates.mechanisms, stresses, strict=True):
+                M = rates.of_body(mechanism, Array(np.tile(stress, count), None), changed)
+                parts.append(rates.creep_space.components(rates.creep_by(mechanism, M, changed)).value)
+            return {"creep": np.concatenate(parts)}
+
+        return read
+
+    def _creep_by_stress(self, u: Fields) -> list[np.ndarray]:
+        """Derivatives of each mechanism's Pi by d(zeta : rate)/dPi, (points, p, p): through the driving
+        stress."""
         rates, size = self.residual.rates, self.residual.rates.creep_space.size
-        if any(mechanism.body is not None for mechanism in rates.mechanisms):
-            return None  # the share of a body is a factor of its driving stress
-        probe = np.random.default_rng(0).standard_normal((1, self.components, 1))
-        _, changed = next(incremented(u, z=probe, zeta=probe))
         points, slopes = u.z.value.shape[1], list[np.ndarray]()
         units = rates.mandel_of(np.eye(size))
         for mechanism in rates.mechanisms:
             rule = mechanism.rule
-            if rule.is_linear and not rule.reads_conjugate:
+            if reads_stress_alone(rule):
                 of_units = rates.creep_space.components(rule.rate(units, None, {})).value
-                slopes.append(np.broadcast_to(of_units, (points, size, size)))
+                share = rates.of_body(mechanism, Array(np.ones((1, points)), None), u).value
+                slopes.append(of_units * share.T[:, :, None])
                 continue
             M = rates.driving(mechanism, u)
-            if derivative_of(rates.creep_by(mechanism, M, changed).value, 1).any():
-                return None
             slopes.append(slope := np.empty((points, size, size)))
             for start in range(0, size, group := max(1, TOGETHER // max(points, 1))):
                 along = units.value.transpose(2, 0, 1)[start : start + group, ..., None]
                 many = repeated(u, len(along))
+                if mechanism.body is not None:
+                    along = along / mechanism.share(u.z_tensors).value
                 Pi = rates.creep_by(mechanism, Array(repeated_along(M.value, along), None), many)
                 of_stress = derivative_of(rates.creep_space.components(Pi).value, len(along))
                 slope[:, :, start : start + len(along)] = of_stress.transpose(2, 0, 1)
@@ -354,6 +370,11 @@ class PointTangent(_AtPoints):
                 x = start + np.matmul(projection, increment.reshape(len(blocks), op.per_cell, n))
             result[rows] = x.reshape(-1, n)
         return result
+
+
+def reads_stress_alone(rule: FlowRule) -> bool:
+    """Whether Pi is a constant linear function of the driving stress."""
+    return rule.is_linear and not rule.reads_conjugate
 
 
 def at_points(matrices: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -172,11 +172,14 @@ class Preconditioner:
         """Make a solver for the velocity tangent restricted to the unknowns ``free``."""
         exchange, operator, number = self._of_tangent, self.operator, np.arange(len(free))
         count = int(self.ranks.total(int((free & exchange.owned)[: operator.size].sum())))
+        # two levels leave the flow's systems of bodies whose viscosities differ by 1e6 unsolved
+        jumps, options = self.dim == 2 and len(operator.residual.step.model.bodies) > 1, self.options
         whole = partial(direct_solver, free, exchange, self.unknowns.velocity_block == ["v"])
-        if count <= (largest := self.options.direct_up_to[self.dim - 2]):
+        largest = (options.direct_at_most if jumps else options.direct_up_to)[self.dim - 2]
+        if count <= largest:
             self.without_multigrid = f"up to {largest} unknowns of v are factorised as a whole, here {count}"
             return whole()
-        if count <= self.options.direct_at_most[self.dim - 2]:
+        if count <= options.direct_at_most[self.dim - 2]:
             self._whole = whole
         mesh, width = operator.residual.step.mesh, operator.op.v.width
         beside_v = (number >= operator.nv) & (number < operator.size)
