@@ -90,7 +90,7 @@ def respond(material: Material, dim: int) -> Respond:
 
 
 def curved_components(material: Material, dim: int) -> np.ndarray:
-    """Numbers of the components of a state in which the energy is not jointly linear (``Material.linear``)."""
+    """Numbers of a state's components in which the energy is not jointly linear (``Material.linear``)."""
     states = material.states(dim)
     curved = np.ones(states.size, dtype=bool)
     for name in material.linear:

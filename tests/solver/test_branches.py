@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import ngvisco as nv
+from ngvisco.reduced.point_fields import derivative_of, incremented
 from ngvisco.reduced.residual import CellPart
-from ngvisco.solver.split.point_tangent import PointTangent
 from tests.support import small_run
 
 pytestmark = pytest.mark.usefixtures("double_precision")
@@ -24,7 +24,9 @@ def network(slow=None):
 
 def evaluated(material):
     """A run, the split solver's residual at a strained state, and its operator, updated there."""
-    run = small_run(material=material, solver="split", viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.2))
+    viscosity = nv.StokesViscosity(K_v=0.1, G_v=0.2)
+    matter = {"material": material, "viscosity": viscosity}
+    run = small_run(**({"bodies": material} if isinstance(material, tuple) else matter), solver="split")
     split, random = run.solver.newton, np.random.default_rng(0)
     run.rothe_step.context.tau.Set(0.1)
     x, slices = split.unknowns.pack(), split.unknowns.slices
@@ -62,22 +64,36 @@ def test_branches_that_feel_each_other_are_inverted_together():
     assert [len(group) for group in points._groups(cells)] == [points.components]
 
 
-@pytest.mark.parametrize("slow", [None, nv.Giesekus(G_m=1.0, alpha=0.3)])
-def test_creep_is_differentiated_by_its_stress_as_by_all_components(slow, monkeypatch):
-    """Giesekus's rate depends on the stress and on the conformation: for this rule all components are
-    taken."""
+def bodies():
+    """Two solids that creep, and a fluid around them."""
+    solid, fluid = (nv.ReferentialNeoHookean(K_e=2.0, G_e=G_e) for G_e in (1.0, 1e-3))
+    places = {"left": nv.Ball((0.25, 0.5), 0.2), "right": nv.Ball((0.7, 0.5), 0.25)}
+    parts = [
+        nv.Body(name=name, where=place, material=solid, creep=nv.Creep(G_m=G_m), density=1.0)
+        for (name, place), G_m in zip(places.items(), (0.05, 0.2), strict=True)
+    ]
+    return (*parts, nv.Body(name="rest", material=fluid, density=1.0))
+
+
+@pytest.mark.parametrize("slow", [None, nv.Creep(G_m=1.0, law="conformation"), "bodies"])
+def test_creep_is_differentiated_by_its_stress_as_by_all_components(slow):
+    """The rate of the law "conformation" reads zeta, not the stress; that of a body reads the amounts too."""
     material = network()
-    if slow is not None:
+    if isinstance(slow, nv.Creep):
         branch = nv.Branch(material=nv.OldroydB(K_e=10.0, G_e=5.0), creep=slow)
         material = nv.Network(branches=material.parts | {"slow": branch})
-    _, split, at, operator = evaluated(material)
+    _, split, at, operator = evaluated(bodies() if slow == "bodies" else material)
     points, u = operator.points, operator.points.terms.fields(at.coefficients)
-    assert (points._creep_by_stress(u) is None) == (slow is not None)
-    by_stress = points.rate_slope.copy()
-    monkeypatch.setattr(PointTangent, "_creep_by_stress", lambda self, u: None)
-    operator.update(at)
+    rates, z, by_stress = split.residual.rates, u.z.value, points.rate_slope.copy()
+    g, columns = rates.tensors.gradients, rates.columns(z)
+    X = np.concatenate([rates.entries_of_L(u), rates.creep_components(u)])
+    expected, _ = rates.slopes(z, X, u.zeta.value)
+    zeta = points.slope.hessian(z).transpose(1, 0, 2)
+    for m, unit in enumerate(np.eye(points.components)):
+        _, changed = next(incremented(u, z=unit[None, :, None], zeta=zeta[m : m + 1]))
+        by_z = derivative_of(rates.creep_components(changed), 1)[:, 0].T
+        expected[:, :, m] += (columns[:, :, g:] @ by_z[:, :, None])[:, :, 0]
     assert np.abs(by_stress).max() > 1
-    assert np.abs(points.rate_slope - by_stress).max() <= 1e-12 * np.abs(by_stress).max()
+    assert np.abs(expected - by_stress).max() <= 1e-12 * np.abs(by_stress).max()
     empty = slice(0, 0)  # a rank may have no cells
-    monkeypatch.undo()
     operator._form((empty, points.terms.part(empty)), CellPart(split.residual, empty), at)

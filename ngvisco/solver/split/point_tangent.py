@@ -209,8 +209,8 @@ class PointTangent(_AtPoints):
 
         Rates are products with constant tensors; creep depends on z through its driving stress, whose
         derivatives ``force`` has.  What else creep reads of z and zeta, and terms that read them, are
-        differentiated by complex increments.  To leading order the increment of -(w . grad z) : zeta, with its
-        part on facets, is div w times phi'(z) : dz; the flux of densities is approximated alike.
+        differentiated by complex increments.  To leading order the increment of -(w . grad z) : zeta, with
+        its part on facets, is div w times phi'(z) : dz; the flux of densities is approximated alike.
         """
         rates, curvature, z, zeta = self.residual.rates, self._curvature(u), u.z.value, u.zeta.value
         g, plane = rates.tensors.gradients, rates.dim**2
