@@ -333,7 +333,7 @@ class TabulatedRates(Rates):
             shared = self.weighed.columns(z)
             columns += weights.T[:, :, None] * shared
             if openings is not None:
-                columns -= parted.T[:, :, None] * self._opened(shared.T, openings).T
+                columns -= parted.T[:, :, None] * self.tensors.opened(shared.T, openings).T
         return columns
 
     def slopes(
@@ -346,10 +346,10 @@ class TabulatedRates(Rates):
             of_rate += weights.T[:, :, None] * self.weighed.rate_slope(X)
             of_stress += self.weighed.stress_slope(weights * zeta)
             if openings is not None:
-                opened = self._opening(X, openings)
+                opened = self.tensors.opening(X, openings)
                 of_rate -= parted.T[:, :, None] * self.weighed.rate_slope(opened)
                 slopes = self.weighed.stress_slope(parted * zeta)
-                of_stress -= self._opened(slopes.transpose(1, 2, 0), openings).transpose(2, 0, 1)
+                of_stress -= self.tensors.opened(slopes.transpose(1, 2, 0), openings).transpose(2, 0, 1)
             for name, (share, of_opening) in self._shares(values := Array(z)).items():
                 where, of_name = self._shared[name], np.zeros_like(zeta)
                 of_name[where] = zeta[where]
@@ -357,7 +357,7 @@ class TabulatedRates(Rates):
                 parts = [(share, self.weighed.rate(z, X)[where], stress)]
                 if openings is not None and of_opening is not None:
                     rate = self.weighed.rate(z, opened)[where]
-                    parts.append((of_opening, -rate, -self._opened(stress, openings)))
+                    parts.append((of_opening, -rate, -self.tensors.opened(stress, openings)))
                 for weight, rates, stresses in parts:
                     (by_z,) = derivatives(weight, [values])
                     read = np.flatnonzero(by_z.any(axis=1))
@@ -366,19 +366,6 @@ class TabulatedRates(Rates):
                     of_stress[:, :, read] += stresses.T[:, :, None] * along
         return of_rate, of_stress
 
-    def _opening(self, X: np.ndarray, openings: np.ndarray) -> np.ndarray:
-        """The motion of the openings alone, (X, points), from a motion X."""
-        opening = np.zeros_like(X)
-        opening[: len(openings)] = np.einsum("xyp,yp->xp", openings, X[: self.tensors.gradients])
-        return opening
-
-    def _opened(self, stress: np.ndarray, openings: np.ndarray) -> np.ndarray:
-        """Derivatives by X, (X, ..., points), of a function whose derivatives by openings are ``stress``."""
-        opened = np.zeros_like(stress)
-        of_L = np.einsum("x...p,xyp->y...p", stress[: len(openings)], openings)
-        opened[: self.tensors.gradients] = of_L
-        return opened
-
     def rate(self, z: UnknownValues, X: np.ndarray, first: int = 0) -> np.ndarray:
         """Rates rate(z; X), (n, points), for the X from ``first`` on; for densities their production."""
         rates = self.production.rate(z.z.value, X, first)
@@ -386,7 +373,7 @@ class TabulatedRates(Rates):
             weights, parted = self.weights(z.z.value)
             rates = rates + weights * self.weighed.rate(z.z.value, X, first)
             if not first and (openings := self.openings(z)) is not None:
-                rates -= parted * self.weighed.rate(z.z.value, self._opening(X, openings))
+                rates -= parted * self.weighed.rate(z.z.value, self.tensors.opening(X, openings))
         return rates
 
     def stress(self, z: UnknownValues, zeta: np.ndarray, first: int, stop: int) -> np.ndarray:
@@ -397,7 +384,9 @@ class TabulatedRates(Rates):
             weights, parted = self.weights(z.z.value)
             slopes = slopes + self.weighed.stress(z.z.value, weights * zeta, first, stop)
             if not first and (openings := self.openings(z)) is not None:
-                slopes -= self._opened(self.weighed.stress(z.z.value, parted * zeta, 0, stop), openings)
+                slopes -= self.tensors.opened(
+                    self.weighed.stress(z.z.value, parted * zeta, 0, stop), openings
+                )
         return slopes
 
     def power(

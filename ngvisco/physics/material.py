@@ -172,16 +172,13 @@ class Material(ABC):
         return None
 
     def conformation_of(self, branch: str) -> str | None:
-        """Name of the conformation tensor of a branch, by the branch's name, in a material with branches
-        (``Network``)."""
+        """Name of the conformation tensor of a branch, by the branch's name (``Network``)."""
         return self.conformation
 
     @property
     def distortions(self) -> dict[str, tuple[str, ...]]:
-        """Names of the tensors of each elastic distortion, by the branch's name; "" without branches.
-
-        The tensors of one distortion have one creep rate.
-        """
+        """Names of the tensors of each elastic distortion, which have one creep rate, by the branch's name,
+        "" without branches."""
         return {"": tuple(v.name for v in self.variables if v.creeps)}
 
     @property
@@ -196,10 +193,8 @@ class Material(ABC):
 
     @property
     def referential_density(self) -> Modulus | None:
-        """The density rho_R, kg/m^3, of an energy that reads rho = rho_R/J; None (default) for others.
-
-        With rho_R the initial density and the initial J determine one another.
-        """
+        """The density rho_R, kg/m^3, of an energy that reads rho = rho_R/J: it ties the initial J to the
+        initial density; None (default) for others."""
         return None
 
     @property

@@ -166,6 +166,20 @@ class RateTensors:
         """d^2(zeta : rate)/dX dz, (points, X, n), for zeta (n, points)."""
         return self._scattered(1, zeta, self.linear.shape[:2])
 
+    def opening(self, X: np.ndarray, openings: np.ndarray) -> np.ndarray:
+        """The motion of the openings alone, (X, points), from a motion X; ``openings`` is their matrix,
+        (dim^2, entries of L, points)."""
+        opening = np.zeros_like(X)
+        opening[: len(openings)] = np.einsum("xyp,yp->xp", openings, X[: self.gradients])
+        return opening
+
+    def opened(self, stress: np.ndarray, openings: np.ndarray) -> np.ndarray:
+        """Derivatives by X, (X, ..., points), of a function whose derivatives by openings are ``stress``."""
+        opened = np.zeros_like(stress)
+        of_L = np.einsum("x...p,xyp->y...p", stress[: len(openings)], openings)
+        opened[: self.gradients] = of_L
+        return opened
+
     def _scattered(self, number: int, values: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
         """The product of one of ``_slopes`` with values, (., points), as matrices, (points, *shape)."""
         rows, matrix = self._slopes[number]
