@@ -303,8 +303,7 @@ class TabulatedRates(Rates):
         return weights, parted
 
     def _shares(self, z: Array) -> dict[str, tuple[Array, Array | None]]:
-        """Weights of the variables' rates, and of the openings' rates subtracted where matter parts, by
-        name."""
+        """Weights of rates and, where matter parts, of the openings' rates subtracted, by the names."""
         values = self._states.tensors(lambda: z)
         shares, of_openings = self.material.taking_part(values), self.material.parted(values)
         return {
@@ -329,8 +328,7 @@ class TabulatedRates(Rates):
         """Derivative d rate/dX, (points, n, X), including the part in the densities' flux."""
         columns = self.tensors.columns(z)
         if self.weighed is not None:
-            weights, parted = self.weights(z)
-            shared = self.weighed.columns(z)
+            (weights, parted), shared = self.weights(z), self.weighed.columns(z)
             columns += weights.T[:, :, None] * shared
             if openings is not None:
                 columns -= parted.T[:, :, None] * self.tensors.opened(shared.T, openings).T
