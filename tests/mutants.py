@@ -24,6 +24,8 @@ COLUMNS = "tests/sensitivity/test_ledger_columns.py::"
 ADJOINT = "tests/sensitivity/test_adjoint.py::"
 BODIES = "tests/sensitivity/test_body_slopes.py::"
 WEAR = "tests/solver/test_wear.py::"
+LEVELS = "tests/solver/test_two_levels.py::"
+TABLES = "tests/run/test_body_tables.py::"
 GOING_ON = "tests/sensitivity/test_restart.py::test_an_interrupted_gradient_goes_on_as_if_it_had_not_been"
 
 
@@ -790,18 +792,219 @@ MUTANTS = [
         "sensitivity/follower.py",
         (
             "limiter's change of an end",
-            "(old + recorded.change)[ranges[name]]",
-            "old[ranges[name]]",
+            "change = recorded.change + self._sharpened(",
+            "change = self._sharpened(",
             "tests/sensitivity/test_frozen.py::test_ends_that_the_limiter_has_changed_have_equal_tangents_and_adjoints",
+        ),
+    ),
+    *_of(
+        "algebra/resolvent.py",
+        (
+            "rows of components that branches share",
+            "0.0 if taken[here.start] else rows",
+            "0.0 if False else rows",
+            "tests/solver/test_branches.py::test_a_cell_is_inverted_branch_by_branch",
+        ),
+        (
+            "sum of branches in components that they share",
+            "result[..., here] += product[..., there]",
+            "result[..., here] = product[..., there]",
+            "tests/solver/test_branches.py::test_a_cell_is_inverted_branch_by_branch",
+        ),
+        (
+            "number of terms of a resolvent's series",
+            "1 + math.ceil(exponent",
+            "math.ceil(exponent",
+            "tests/algebra/test_resolvent.py::test_the_number_of_terms_leaves_an_error_below_its_limit",
+        ),
+        (
+            "squares of a resolvent's powers",
+            "np.matmul(power, power), 2 * exponent",
+            "np.matmul(power, power), exponent",
+            "tests/algebra/test_resolvent.py::test_the_number_of_terms_leaves_an_error_below_its_limit",
+        ),
+    ),
+    *_of(
+        "algebra/factorised.py",
+        (
+            "middle of Chebyshev's interval",
+            "0.5 * largest * (1 + 1 / SMOOTHED)",
+            "0.5 * largest",
+            LEVELS + "test_sweeps_leave_what_a_polynomial_of_chebyshev_leaves",
+        ),
+        (
+            "recursion of Chebyshev's polynomials",
+            "1 / (2 / half - ratio)",
+            "1 / (2 / half + ratio)",
+            LEVELS + "test_sweeps_leave_what_a_polynomial_of_chebyshev_leaves",
+        ),
+        (
+            "residual of edges after the coarse problem",
+            "r_fine -= self._of_fine.sum(change)",
+            "r_fine += self._of_fine.sum(change)",
+            LEVELS + "test_vertices_and_edges_are_solved_together",
+        ),
+        (
+            "residual of vertices after the first sweeps",
+            "r_coarse[self._coarse] -= self",
+            "r_coarse[self._coarse] += self",
+            LEVELS + "test_vertices_and_edges_are_solved_together",
+        ),
+    ),
+    *_of(
+        "forms/terms/transport.py",
+        (
+            "degree of transport in cells",
+            "return k - 1 + 2 * m if is_bilinear",
+            "return k - 2 + 2 * m if is_bilinear",
+            "tests/solver/test_split_agrees.py::test_for_every_material_with_creep",
+        ),
+    ),
+    *_of(
+        "reduced/residual.py",
+        (
+            "order of a rule that is exact for polynomials",
+            "(order := -(-degree // 2)) < whole",
+            "(order := degree // 2) < whole",
+            "tests/solver/test_split_agrees.py::test_for_every_material_with_creep",
+        ),
+    ),
+    *_of(
+        "forms/impulses.py",
+        (
+            "pressure of closed walls in their impulse",
+            "sum(left.values()), 0.0) + pressed",
+            "sum(left.values()), 0.0) - pressed",
+            MOMENTUM + "test_momentum_changes_by_the_impulses_and_by_what_the_columns_say",
+        ),
+        (
+            "pressure of closed walls in the defect of cells",
+            "of_cells_ = -left[ELASTIC] - pressed - thrust",
+            "of_cells_ = -left[ELASTIC] + pressed - thrust",
+            MOMENTUM + "test_momentum_changes_by_the_impulses_and_by_what_the_columns_say",
+        ),
+        (
+            "integrands of a closed wall's pressure",
+            "by_names[HELD_BY_WALLS][-1] += parts.get(_PRESSED, [])",
+            "by_names[HELD_BY_WALLS][-1] += _negative(parts.get(_PRESSED, []))",
+            COLUMNS + "test_products_of_tangent_and_adjoint_are_equal",
+        ),
+        (
+            "integrands of the defect of facets",
+            "[*thrust, *_negative(parts.get(ENTERING, []))]",
+            "[*thrust, *parts.get(ENTERING, [])]",
+            COLUMNS + "test_products_of_tangent_and_adjoint_are_equal",
+        ),
+    ),
+    *_of(
+        "forms/rates.py",
+        (
+            "power of the strain rate about the axis",
+            "return parts if along.hoop is None else [*parts, along.hoop * Array(stress[plane], None)]",
+            "return parts",
+            "tests/run/test_axisymmetric.py::test_homogeneous_stretch_is_that_of_a_point",
+        ),
+        (
+            "opening of an interface about the axis",
+            "*[8] * self.hoop]",
+            "*[0] * self.hoop]",
+            "tests/run/test_parting.py::test_both_solvers_agree_and_the_identity_holds",
+        ),
+    ),
+    *_of(
+        "physics/tensors.py",
+        (
+            "sign of the strain rate about the axis",
+            "plane + hoop * constant(_HOOP.reshape(3, 3))",
+            "plane - hoop * constant(_HOOP.reshape(3, 3))",
+            "tests/run/test_axisymmetric.py::test_homogeneous_stretch_is_that_of_a_point",
+        ),
+    ),
+    *_of(
+        "run/body_tables.py",
+        (
+            "kinetic energy of a body",
+            "0.5 * mass * inner(v, v)",
+            "mass * inner(v, v)",
+            TABLES + "test_sums_over_bodies_are_the_ledger_s",
+        ),
+        (
+            "share of a body in the common energy",
+            "+ theta * of_volume",
+            "+ of_volume",
+            TABLES + "test_sums_over_bodies_are_the_ledger_s",
+        ),
+        (
+            "least coordinates of a body",
+            "np.tile([-1, 1], dim)",
+            "np.tile([1, 1], dim)",
+            TABLES + "test_disc_starts_where_it_is_put",
+        ),
+        (
+            "dissipation of a body's creep",
+            "loss = loss + rates.power_of_creep",
+            "loss = loss - rates.power_of_creep",
+            TABLES + "test_sums_over_bodies_are_the_ledger_s",
+        ),
+        (
+            "centroid of a body",
+            "values[:, 2 : 2 + dim] /= np.where",
+            "values[:, 2 : 1 + dim] /= np.where",
+            TABLES + "test_disc_starts_where_it_is_put",
+        ),
+    ),
+    *_of(
+        "forms/sharpening.py",
+        (
+            "bounds of fractions in cells with three bodies",
+            "if count > 2 or is_passed.any():",
+            "if False:",
+            SHARP + "test_fractions_of_three_bodies_in_a_cell_are_bounded",
+        ),
+        (
+            "quotients of an amount that fills a cell",
+            "(filling, target), (amount - filling, source)",
+            "(filling, source), (amount - filling, source)",
+            SHARP + "test_no_cell_gives_more_of_a_body_than_it_has",
+        ),
+        (
+            "difference of the defects of two cells",
+            "defects[cell, corner] - defects[neighbour, opposite]",
+            "defects[cell, corner] + defects[neighbour, opposite]",
+            SHARP + "test_no_cell_gives_more_of_a_body_than_it_has",
+        ),
+    ),
+    *_of(
+        "sensitivity/wall_rows.py",
+        (
+            "slopes of walls' forces by the state",
+            "product.data = self._form.mat.T * rows",
+            "product.data = self._form.mat * rows",
+            COLUMNS + "test_impulses_of_walls_have_adjoints",
+        ),
+    ),
+    *_of(
+        "sensitivity/adjoint.py",
+        (
+            "rows of walls in the starts of a stage",
+            "loads[k] -= self.starts.transposed(adjoints - c)",
+            "loads[k] -= self.starts.transposed(adjoints)",
+            ADJOINT + "test_the_power_of_a_moving_wall_has_a_derivative_by_its_velocity",
+        ),
+        (
+            "share of a stage in the rows of walls",
+            "c = self.slopes.rows.weights(stage.share * weights, stage.state)",
+            "c = self.slopes.rows.weights(weights, stage.state)",
+            ADJOINT + "test_the_power_of_a_moving_wall_has_a_derivative_by_its_velocity",
         ),
     ),
 ]
 
 
 def copy_with(mutant: Mutant, folder: Path) -> None:
-    """A copy of the sources and tests with the change."""
+    """A copy of the sources, compiled or not, and of the tests, with the change."""
     for name in ("ngvisco", "geometries", "tests"):
-        ignored = shutil.ignore_patterns("pictures", "__pycache__")
+        ignored = shutil.ignore_patterns("pictures")
         shutil.copytree(ROOT / name, folder / name, ignore=ignored, dirs_exist_ok=True)
     shutil.copy(ROOT / "pyproject.toml", folder)
     path = folder / mutant.file

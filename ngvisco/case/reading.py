@@ -42,7 +42,7 @@ def sections_of(text: str, source: str, directory: Path, settings: Sequence[str]
     locator, overridden = Locator({}, source=source), []
     try:
         data = tomllib.loads(text)
-    except ValueError as error:  # also for a number of thousands of digits
+    except ValueError as error:  # Python also refuses a number of thousands of digits
         raise locator.error((), f"not TOML: {error}") from error
     except RecursionError as error:
         raise locator.error((), "not TOML: too deeply nested") from error

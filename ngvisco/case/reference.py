@@ -133,7 +133,9 @@ def _walk(models: Sequence[type[Section]], path: tuple[str, ...]) -> Iterator[Ke
                 None if inner else annotation.example if is_empty else default,
             )
             below = (*path, name, *place_in(field.annotation))
-            if inner and below not in _same_keys():  # their keys are listed under the other table alone
+            if (
+                inner and below not in _same_keys()
+            ):  # keys of such tables are listed under the other table alone
                 yield from _walk(inner, below)
 
 
@@ -191,7 +193,7 @@ def explain(path: str) -> str:
         return "\n\n".join(
             [_said_of(last), *cards([*tag, *(entry for entry in keys if last in entry.kinds)])]
         )
-    # a name alone stands for this key in every table that has it
+    # a name without a table stands for the keys of this name in all tables
     exact = [e for e in every if matches(e.path, user_path)] or [e for e in every if e.path[-1:] == user_path]
     below = [
         e for e in every if len(e.path) > len(user_path) and matches(e.path[: len(user_path)], user_path)

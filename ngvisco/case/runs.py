@@ -120,7 +120,7 @@ def resume(
 
     def prepare() -> None:
         place.require_checkpoints()
-        if not place.versions_file.exists():  # which is written last: the run was killed while preparing
+        if not place.versions_file.exists():  # this file is written last: the run was killed while preparing
             place.prepare(case, mesh_image(case.mesh()))
 
     with ranks.held_by_first(place.locked()):
@@ -175,7 +175,7 @@ def _go(
         notes.append(f"from the checkpoint of step {simulation.number}, t = {simulation.t:g} s")
 
     def begin() -> None:
-        for path in place.failures:  # of an earlier attempt
+        for path in place.failures:  # reports of an earlier attempt
             path.unlink()
         for note in notes:
             log.write(note)

@@ -72,7 +72,7 @@ def parser() -> argparse.ArgumentParser:
     text = "threads of assembly; with 1 (default) a resumed run is the uninterrupted one bit for bit"
     running.add_argument("--threads", type=_threads, default=1, metavar="N", help=text)
     running.add_argument("--quiet", action="store_true", help="no progress on the terminal (log.txt has it)")
-    # for the runs of a study: they end when the study ends, for whatever reason
+    # a study starts its runs with this option, so that no run outlives the study
     running.add_argument("--ends-with-stdin", action="store_true", help=argparse.SUPPRESS)
 
     run = commands.add_parser(
@@ -177,7 +177,7 @@ def _add_sensitivities(commands: Any, parents: list[argparse.ArgumentParser]) ->
 def _threads(text: str) -> int:
     try:
         value = int(text)
-    except ValueError:  # also for thousands of digits
+    except ValueError:  # Python also refuses thousands of digits
         value = 0
     if value < 1:
         raise argparse.ArgumentTypeError(f"{text}: expected a whole number >= 1")

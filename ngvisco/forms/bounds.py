@@ -18,9 +18,9 @@ Variables of one distortion may drift apart: J differs from det F of a tensor.  
 below its value at rest, so that rest energy would become motion.  A state with |det F/J - 1| above
 ``TimeSteps.drift`` in the mean of a cell is not admitted.
 
-The momentum density p = rho v has the s of rho (``limit_momentum``): |p|^2/(2 rho) is jointly convex, so that
-the kinetic energy falls too if rho >= 0 before.  A body in translation stays so; limiting rho at a fixed
-momentum would change its motion.
+The momentum density p = rho v is scaled by the factor s of rho (``limit_momentum``). |p|^2/(2 rho) is jointly
+convex, so that the limiter also lowers the kinetic energy if rho was not negative.  A body in translation
+stays so; limiting rho at a fixed momentum would change its motion.
 
 Only a mean out of bounds cannot be corrected; the step is then given up.  Two kinds of bounds do not count:
 bounds of variables for which the material's energy is continued (``Material.continued``: a Yosida

@@ -137,7 +137,9 @@ class Sharpening:
         is_round = step.layout.symmetry.is_axisymmetric
         self._radii = np.maximum(self._x[:, :, 0], 0.0) if is_round else None  # weights of volumes at corners
         slopes = np.swapaxes(np.linalg.inv(edges), 1, 2)
-        self._slopes = np.concatenate([-slopes.sum(axis=1, keepdims=True), slopes], axis=1)  # of lambda
+        self._slopes = np.concatenate(
+            [-slopes.sum(axis=1, keepdims=True), slopes], axis=1
+        )  # gradients of lambda
         self.swept, self._is_said = 0.0, False
         """Height of the longest strip of the last step, in heights of its cell."""
 
@@ -324,7 +326,7 @@ class Sharpening:
         doubled = (np.column_stack([height, height[:, c]]) for c in range(self.dim + 1))
         slope = np.stack([share_above(heights) for heights in doubled], axis=1)
         slope -= (slope * self._masses[chosen]).sum(axis=1, keepdims=True) / self._mass[chosen, None]
-        slope *= self.dim + 2  # of the projection; the bound below scales it to 0.6 or less
+        slope *= self.dim + 2  # the projection's factor; the bound below scales the slope to 0.6 or less
         both = means[self._amounts][[i, j]][:, chosen].sum(axis=0)
         deviation = np.zeros((len(self._amounts), *slope.shape))  # traces of other bodies have none
         deviation[i], deviation[j] = both[:, None] * slope, -both[:, None] * slope

@@ -172,7 +172,8 @@ class PointTerm:
         return []
 
     def facet_projection(self, u: Fields) -> CoefficientFunction | None:
-        """The function whose mean over each facet is ``facet_mean``, if no solver iterates on the mean."""
+        """The function with the mean ``facet_mean`` over each facet; None if a solver iterates on the
+        mean."""
         return None
 
     def impulses(self, u: Fields, w: Fields) -> dict[str, list[Integrand]]:

@@ -46,7 +46,7 @@ is evaluated."""
 _BISECTIONS, _BREAKS, _HALVINGS = 46, 64, 48
 """Bisections of a break, to rounding; largest numbers of breaks and of halved panels."""
 _ROUNDING = 4e-16
-_SHARE = 1.0 / 64  # of the interval: a shorter panel has the tolerance of this length
+_SHARE = 1.0 / 64  # a panel below this share of the interval has this share's tolerance
 _POINTS = 128  # points of space at which a function is evaluated, on each rank
 
 TimeFunction = Callable[[float], np.ndarray]

@@ -87,7 +87,8 @@ class UnknownValues:
         self.layout, self.parts = layout, parts
         self.dim: int = layout.mesh.dim
         self.rows = self.dim if rows is None else rows
-        # of the parts alone: a reference to the values would keep their arrays until cycles are collected
+        # the function refers to the parts alone: a reference to the values would keep their arrays until
+        # cycles are collected
         self.gradient = gradient or (functions.gradient if functions else lambda name: Grad(parts[name]))
         self._variables = functions.of_variables if functions else {}
         self._made: dict[str, Any] = {}

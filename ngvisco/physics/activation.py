@@ -117,8 +117,8 @@ class Activated(_Activation, _Faster):
     V : float
         Activation volume; where it is > 0, pressure slows creep down.
     temperature : float, optional
-        A number, a function of the initial place, which is carried, or an expression of parameters; None is
-        the material's temperature, for which the material needs heat.
+        A number; a function of the initial place, which is carried; or an expression of parameters. None is
+        the temperature of a material with heat.
     """
 
     def __post_init__(self) -> None:

@@ -13,8 +13,9 @@ convex: an absent body is a trace of matter at rest.  Hardening adds w phi_h(K/w
 delta), which is n phi_h(k) where the body fills the point.  Bodies with heat have one temperature and one
 entropy s, and V(n) becomes W(n, s).
 
-Body i flows by the spin W, the strain rate chi_i D and the creep rate chi_i Pi_i, 0 <= chi_i <= 1 by its
-fraction (``taking_part``): where the fraction is <= 0, its tensors turn, do not stretch, and bear no stress.
+Body i has the spin W, the strain rate chi_i D and the creep rate chi_i Pi_i. Its fraction determines chi_i
+from 0 to 1 (``taking_part``): where the fraction is <= 0, tensors of the body turn, but neither stretch nor
+bear stress.
 """
 
 from __future__ import annotations

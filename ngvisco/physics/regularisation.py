@@ -174,7 +174,7 @@ def curvature_of(material: Material, dim: int) -> Curvature:
     hessians = hessians[np.isfinite(hessians).all(axis=(1, 2))]
     sizes = np.abs(hessians).max(axis=(1, 2), keepdims=True)
     scaled = hessians / np.where(sizes > 0, sizes, 1.0)
-    # non-negative matrices and their mean have one common kernel; for others the kernel is checked
+    # the mean of non-negative matrices has their common kernel; for other matrices it is checked below
     values, vectors = np.linalg.eigh(scaled.mean(axis=0))
     kernel = vectors[:, np.abs(values) <= _ZERO]
     if np.abs(scaled @ kernel).max(initial=0.0) > _ZERO:

@@ -123,7 +123,7 @@ def read_table(path: str | PathLike[str]) -> np.ndarray:
 def breaking(function: CoefficientFunction) -> tuple[list[CoefficientFunction], list[np.ndarray]]:
     """Discontinuities of a function of time: arguments of its ``IfPos``, and times of tables, s.
 
-    The times come from all tables ever made, as a rule with too many breaks is right, too.
+    The times are those of all tables of this process; a rule with more breaks than necessary is right, too.
     """
     return list(_choices(function)), list(_knots.values()) if "bspline" in str(function) else []
 

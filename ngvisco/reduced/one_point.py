@@ -22,7 +22,7 @@ from ngvisco.reduced.unknowns import derived_in_cells
 class TermRows:
     """The rows of a term."""
 
-    names: dict[str, bool]  # by each test's name, whether its rows depend on z or zeta
+    names: dict[str, bool]  # whether a test's rows depend on z or zeta, by the test's name
     components: frozenset[int]  # numbers of the components of z that have rows
     collocated: bool  # whether a row is integrated by a collocated rule: one point per coefficient of a field
 

@@ -41,8 +41,8 @@ _ABOVE_YIELD = 0.1
 class Scales:
     """Scales in SI units; a time that does not exist is inf, a speed or viscosity that does not exist is 0.
 
-    Where moduli differ from place to place or from body to body, each scale is the one that asks most of dt
-    and maxh.  A periodic direction is no length of the domain.
+    Where moduli differ from place to place or from body to body, each scale is the one that needs the
+    smallest dt or maxh.  The domain's lengths leave out periodic directions.
     """
 
     length: float

@@ -1,4 +1,4 @@
-"""The HDF5 file of a run: ledger and checkpoints; under its name it is always complete.
+"""The HDF5 file of a run, with ledger and checkpoints, which is replaced only by a complete file.
 
 Layout::
 

@@ -58,7 +58,8 @@ class Refinement:
     Parameters
     ----------
     field : str
-        Name of one of the run's ``fields``, e.g. ``"disc_fraction"`` or ``"creep_rate"``; its norm counts.
+        Name of one of the run's ``fields``, e.g. ``"disc_fraction"`` or ``"creep_rate"``; of a vector or a
+        tensor the norm.
     above : float
         Share of the field's range over the domain. A cell is divided if the field varies by more than this
         in the cell and its neighbours.
@@ -252,7 +253,9 @@ class _First:
             return None
         if self._order == 1:
             return mesh_image(mesh)
-        mesh.Curve(1)  # Netgen writes curved edges by numbers, which only a mesh read from a file has
+        mesh.Curve(
+            1
+        )  # Netgen writes curved edges by edge numbers, which a mesh has only after it was read from a file
         curved = mesh_of(mesh_image(mesh))
         curved.Curve(self._order)
         return mesh_image(curved)

@@ -1,4 +1,5 @@
-"""Sizes, velocities and accelerations of a run, and the points where its laws ask most of dt and maxh."""
+"""Sizes, velocities and accelerations of a run, and the points where its laws need the smallest dt and
+maxh."""
 
 from __future__ import annotations
 

@@ -92,9 +92,9 @@ class TimeSteps:
         Largest |det F/J - 1| in the mean of a cell, for a tensor and a volume that are carried separately; a
         step with more is refused.  A larger bound lets a run go on where a body is torn at a corner.
     halvings : int
-        Number of halvings of a step of fixed length that is not solved, before solver.method = "auto" turns
-        to the other solver; with 0 at once.  The other solver takes the next 16 steps, and then the first one
-        is tried again.
+        How often a step of fixed length that is not solved is halved, before solver.method = "auto" turns to
+        the other solver; with 0 a step is not halved.  The other solver takes the next 16 steps, and then the
+        first one is tried again.
     velocity_scale : float, optional
         A typical velocity, which sets the curvature of v below which the penalty of the hyperviscosity does
         not depend on it; default: the velocity of flow, walls, free fall or elastic release, at rest a tenth
@@ -172,7 +172,7 @@ def time_steps(time: TimeSteps | None, keywords: Mapping[str, Any]) -> TimeSteps
 
 @dataclass(frozen=True)
 class Rejection:
-    """A step that was not accepted: its begin ``time`` and length ``tau`` (s), and the reason.
+    """A rejected step: its start ``time`` and length ``tau``, s, and the reason.
 
     ``history`` holds the attempts to solve the step; it is empty for a step that was solved, but not exactly
     enough.
@@ -277,7 +277,7 @@ class FixedStepper:
     def advance(self, run: Stepped, stop: float, rejected: Callable[[Rejection], None]) -> Accepted:
         """Take one step that does not pass ``stop``; a StepError leaves the old state.
 
-        ``rejected`` is told of each rejection.
+        ``rejected`` is called with each rejection.
         """
         t, position = run.t, self._position(run.t)
         whole, done = divmod(position, self._parts)

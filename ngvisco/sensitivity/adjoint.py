@@ -177,7 +177,7 @@ class Adjoint:
         stage, weights = recorded.stages[i - 1], self.means[:, number]
         base = self.base
         base.pose(stage, [base.evolved(y) for y in solutions[:i]])
-        self.linearised.at_stage(stage)  # also sets the present state
+        self.linearised.at_stage(stage)  # this also sets the present state
         c = self.slopes.rows.weights(stage.share * weights, stage.state)
         loads[i] += self._seeds(stage.share * weights) + self.slopes.rows.slopes(stage.share * weights, c)
         adjoints = np.array([self.linearised.stage(slope, transposed=True) for slope in loads[i]])

@@ -46,8 +46,8 @@ class BodySlopes:
     """Slopes of the columns of a prepared table of bodies.
 
     The slope of an integral is a variation of a form. A measure of an outline is a function of the fractions
-    and the velocity at points in cells; its slope by these values becomes a slope by the state in weighted
-    sums over the points.  The force of other bodies has slopes by the stress and by the averaged fraction.
+    and the velocity at points in cells. Weighted sums over the points turn the slope by these values into a
+    slope by the state.  The force of other bodies has slopes by the stress and by the averaged fraction.
     """
 
     def __init__(self, table: Bodies, variations: Variations) -> None:

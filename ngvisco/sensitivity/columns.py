@@ -32,7 +32,7 @@ _REFUSED = {
     SIZE: "it has kinks where matter comes to rest",
     RELATIVE: "it compares with the largest values of all steps and directions",
 }
-"""Reasons why columns of the ledger have no derivative; all others judge the length of a step."""
+"""Reasons why columns of the ledger have no derivative.  Other columns without one judge a step's length."""
 NORMS = ("J_defect", "defect_rms")
 """Columns of norms of defects; they have no derivative where they are zero."""
 

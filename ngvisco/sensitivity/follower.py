@@ -54,7 +54,7 @@ class Follower:
     def finish(self, recorded: RecordedStep, states: Sequence[Evolved]) -> None:
         """Set the step's start that the run had when it evaluated columns at the end of a step.
 
-        ``states`` are y_0, y_1, ...; a combined end is its own start.
+        ``states`` are y_0, y_1, ...; at a combined end, which no stage solves, start and end are equal.
         """
         if recorded.is_combined:
             self.step.start_from(list(zip(recorded.weights, states, strict=True)))

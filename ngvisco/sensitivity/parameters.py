@@ -175,7 +175,7 @@ def _found(owner: Any, keys: Sequence[str], name: str) -> Any:
     place = _member(owner, keys[0])
     if place is None:
         raise UnknownNameError(f"part of {name!r}", keys[0], _known(owner), "by")
-    is_within = dataclasses.is_dataclass(owner) and place != keys[0]  # within a wrapped material
+    is_within = dataclasses.is_dataclass(owner) and place != keys[0]  # the key belongs to a wrapped material
     return _found(_get(owner, place), keys if is_within else keys[1:], name)
 
 

@@ -106,8 +106,8 @@ class Variations:
     def _with_energy(self, integrands: Sequence[Integrand], present: Sequence[Integrand]) -> Slope:
         """Slope of a sum of integrals, with the share of the stored energy.
 
-        The energy of a material without an expression is projected, P phi(z), and its weight w in the
-        integrals at the ``present`` state becomes the weight P w of phi(z).
+        The energy of a material without an expression is a projection P phi(z). If P phi(z) has the weight w
+        in the integrals at the ``present`` state, phi(z) has the weight P w.
         """
         direct, projected = self.of_sum(integrands), self.step.energy.projected
         if projected is None:

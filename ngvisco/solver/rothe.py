@@ -192,7 +192,7 @@ class RotheSolver:
                     reason = failed[-1].reason  # steps of growing length may have been solved
                     notes = dict.fromkeys(note for note in self._met if note not in reason)
                     raise StepError("; ".join([reason, *notes]), attempts)
-        except BaseException:  # also an interrupt: never leave an iterate behind
+        except BaseException:  # an interrupt, too, must not leave an iterate behind
             self.return_to(self.start)
             raise
         self.extrapolation.keep(interval.end)

@@ -142,7 +142,7 @@ def test_nested_choices_take_no_more_time_than_others():
     text = "J"
     for _ in range(25):
         text = f"where(J < 1, J, {text})"
-    parse_energy(text, F_AND_J)  # once for each node: twice would be 2^25
+    parse_energy(text, F_AND_J)  # each node is visited once: two visits would be 2^25 in all
 
 
 @settings(max_examples=300, deadline=None)

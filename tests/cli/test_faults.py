@@ -328,7 +328,7 @@ def test_killed_at_random_moments_the_run_is_resumed_bit_for_bit(tmp_path, case_
         begun = (place / "case.toml").exists()
         words = ("resume", place) if begun else ("run", case_file, "-o", place, *LONG)
         process = start(*words, "--quiet")
-        # in the first moments of the process, or among its steps
+        # the signal comes in the first moments of the process, or during its steps
         if chance.random() < 0.4:
             time.sleep(chance.uniform(0.0, 2.0))
         else:

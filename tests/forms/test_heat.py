@@ -167,7 +167,7 @@ def test_conduction_between_constants_is_refused_by_name():
         nv.NgviscoError, match=r"Discretisation\.m = 0: expected 1 or 2 where there is a flux of heat"
     ):
         run_of("coupled", nv.Heat(conductivity=0.1), steps=0, **options)
-    ledger = run_of("coupled", nv.Heat(source=1.0), **options).ledger  # which is not conducted
+    ledger = run_of("coupled", nv.Heat(source=1.0), **options).ledger  # heat is not conducted here
     assert ledger.column("power_heat_source")[-1] == pytest.approx(1.0, rel=1e-12)
 
 

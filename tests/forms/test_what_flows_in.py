@@ -244,7 +244,9 @@ def test_amounts_that_are_given_bring_their_masses(solver):
     )
     ledger = run.run(0.2)
     assert ledger.column("inflow_left")[1:] == pytest.approx(2 * [0.095], rel=1e-9)
-    assert ledger.column("inflow_right")[1:] == pytest.approx(2 * [-0.05], rel=1e-3)  # the light one alone
+    assert ledger.column("inflow_right")[1:] == pytest.approx(
+        2 * [-0.05], rel=1e-3
+    )  # only the light body flows in
     heavy, light = (table.column(f"{name}_mass") for name in ("heavy", "light"))
     assert heavy[-1] - heavy[0] == pytest.approx(0.06 * 0.2, rel=1e-3)
     assert light[-1] - light[0] == pytest.approx((0.035 - 0.05) * 0.2, rel=1e-3)

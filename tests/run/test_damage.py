@@ -237,7 +237,7 @@ def test_steps_are_chosen_by_the_growth_of_the_damage():
     grown, dt = ledger.column("damage_growth")[1:], ledger.column("dt")[1:]
     assert grown.max() <= most and np.median(grown) > 0.5 * most
     assert ledger.column("rejections").any() and dt.min() < 0.02 < dt.max()
-    # a crack that runs however short the step is: the shortest is accepted
+    # the crack runs in steps of any length, so that the shortest step is accepted
     shortest = nv.AdaptiveSteps(dt_min=0.1, dt_max=0.1, damage_growth=most)
     with pytest.warns(nv.DamageWarning):
         ledger = sheared("AT2", adaptive=shortest).run(0.3)

@@ -196,9 +196,9 @@ def test_what_a_jump_makes_of_nothing_is_in_the_columns():
     change = momenta(run) - before
     np.testing.assert_allclose(of(ledger, "momentum_defect").sum(axis=0), change[:2], rtol=1e-8, atol=1e-13)
     assert abs(left(ledger)).max() < 1e-12
-    assert ledger.column("dissipation_upwinding")[1:].min() > 1e-6  # of the jump that the body carries along
+    assert ledger.column("dissipation_upwinding")[1:].min() > 1e-6  # the jump travels with the body
     total = abs(change[:2]).max()
-    # the share: over what moved most, with the run's velocity beside it, and no exchange here
+    # the defect's share of the largest momentum and of the mass times the run's velocity; no load acts
     moving = ledger.column("momentum_size").max() + ledger.column("mass")[0] * run.velocity_scale
     assert ledger.column("momentum_defect_relative")[-1] == pytest.approx(total / moving, rel=1e-6, abs=1e-14)
 

@@ -106,7 +106,7 @@ def test_the_limiter_draws_a_state_into_the_domain_of_its_energy():
     values += 0.15 * rng.uniform(-1, 1, values.shape) * (rng.uniform(size=values.shape) < 0.3)
     found = bounds.violation(everywhere=True)
     assert z is not None and found.quantity == "room to stretch" and found.value < 0
-    means = bounds.violation()  # a mean out of the domain is beyond mending
+    means = bounds.violation()  # no limiter can correct a mean outside of the domain
     values[:] = 0.5 * (values + before) if means is not None else values
     assert bounds.violation() is None and bounds.limit() > 0
     assert bounds.violation(everywhere=True) is None and bounds.lack() is None

@@ -103,7 +103,8 @@ def test_torque_on_a_curved_wall_takes_the_angular_momentum():
 
 
 def test_forces_and_momentum_of_a_periodic_strip_of_one_cell():
-    """A cell that meets its own image has a vertex twice: all lengths of the strip have one shear stress."""
+    """A cell that meets its own periodic image has one vertex twice; the shear stress does not depend on the
+    strip's length."""
     found = []
     for cells in (1, 2):
         forces = nv.WallForces(["top"])

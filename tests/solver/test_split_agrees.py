@@ -93,7 +93,7 @@ def assert_both_agree(mesh, physics, steps=2, dt=0.02, **options):
         spare = 1 / LINEAR_IN_2D if name.startswith("a_") else 1
         assert np.linalg.norm(rows) <= spare * allowed[name], name
     assert np.abs(split.ledger.column("closure_relative")).max() <= 1e-10
-    # what crosses walls is known as well as the iterate
+    # the mass that crosses walls has the accuracy of the iterate
     drift = split.solver.options.tolerance if split.rothe_step.walls.crossed else 1e-12
     assert np.abs(split.ledger.column("mass_drift")).max() <= drift
     for column in coupled.ledger.columns:

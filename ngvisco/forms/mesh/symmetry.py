@@ -8,8 +8,8 @@ and its integrals, int f r dr dy in cells and int f r ds on facets, are those in
 then the three-dimensional scheme restricted to such fields: tests w have the strain w_r/r too, and the same
 terms cancel.  Quadrature points lie inside cells and facets, where r > 0.
 
-A facet on the axis has no area.  Integrands on it are zero, since v . n = 0 and the trace is the cell's
-value.  Only the equations of the traces keep a positive weight on the axis.
+A facet on the axis has no area.  Integrands on this facet are zero, since v . n = 0 and the trace is the
+cell's value.  Only the equations of the traces keep a positive weight on the axis.
 """
 
 from __future__ import annotations

@@ -62,7 +62,7 @@ from ngvisco.words import Mention, Words, call
 _FLAT = 1e-12  # |a.n|^2/|a|^2 on axis-parallel walls, whose normals are exact
 _ROUNDING = 1e-20  # share of the mean of |a|^2 in the domain: sin(pi x) at x = 1 is 1e-16
 _MATCH = 1e-8
-_DEGREE = 6  # of the rule whose points on walls are checked
+_DEGREE = 6  # the degree of the rule whose points on walls are checked
 _STIFFER = 10.0
 """Ratio of bulk moduli above which a run warns.  Steps have to be divided at a ratio of 20
 (``demos/collision``). At ratios above 5 an overshoot of a quarter may make the compliance negative."""

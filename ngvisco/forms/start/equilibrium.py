@@ -3,9 +3,10 @@
     grad p = f(rho),      p(J) = -tr T/3 at F = J^{1/3} I,      rho = rho_R/J, or the given density
 
 p is continuous, one order above the variables, with int (grad p - f) . grad q = 0 for all q.  If the density
-varies with the height alone, p is the weight above, in any domain and layers.  If it also varies along a
-level, no pressure bears all loads, and a warning states the unborne share.  The datum determines the constant
-in p.  J is the projected inverse of the bulk law, by Newton's method; each body has its J at the common p.
+varies with the height alone, p is the weight of the matter above, for any domain and any layers.  If it also
+varies along a level, no pressure bears all loads, and a warning states the unborne share.  The datum
+determines the constant in p.  J is the projected inverse of the bulk law, by Newton's method; each body has
+its J at the common p.
 
 For k = 1 and m = 0 the cell means of p bear the loads that p bears, as div w is constant in cells.  m = 0
 with another k is refused: the best constants leave 20, 10 and 5 % of the loads on velocities of order two

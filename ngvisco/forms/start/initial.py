@@ -186,7 +186,7 @@ def _data(
         sampler.require(theta, "temperature theta_0", "Initial.temperature", minimum=0.0)
         values |= entropy_at(material, theta, values)
     _check_spaces(step, initial.values, values, sampler)
-    low, high = sampler.extrema(density)  # within these, products do not overflow
+    low, high = sampler.extrema(density)  # products of densities in this range do not overflow
     if not _LEAST_DENSITY <= low <= high <= 1 / _LEAST_DENSITY:
         expected = f"kg/m^3 from {_LEAST_DENSITY:g} to {1 / _LEAST_DENSITY:g}"
         raise InitialDataError("density rho_0", f"{low:.6g} to {high:.6g}", expected, "Initial.density")

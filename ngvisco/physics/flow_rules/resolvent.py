@@ -44,9 +44,11 @@ def resolved(
         low, high = np.where(defect < 0, s, low), np.where(defect < 0, high, s)
         newton = s - defect / (1 + c * value.imag / TINY)
         length = abs(newton - s)
-        # on an exponential Newton's steps have one length: then the bracket is halved
+        # Newton's steps on an exponential have one length; the bracket is then halved
         accepted = (newton >= low) & (newton <= high) & (length <= 0.5 * moved)
-        middle = np.where(high < np.inf, 0.5 * (low + high), 2 * s)  # no upper end if the rate gives energy
+        middle = np.where(
+            high < np.inf, 0.5 * (low + high), 2 * s
+        )  # a rate that gives energy has no upper end
         s, moved = np.where(done, s, np.where(accepted, newton, middle)), np.where(accepted, length, np.inf)
         done |= accepted & (length <= _LAST * size)
         if done.all():

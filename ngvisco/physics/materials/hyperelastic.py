@@ -226,8 +226,8 @@ class ReferentialNeoHookean(IsotropicElastic):
     and J - 2 + 1/J becomes (J - 1 + c)^2/J with c = kappa epsilon/K_e, so that T(I) = 0 still.
 
     phi is jointly convex in (H, J), strongly in H (the paper's rem-neo-Hookean-ref), and blows up as J -> 0+.
-    T_12 = 2 G_e gamma in simple shear.  By B phi is linear in B, and strictly convex in J.  Raises
-    ParameterError if a parameter is out of its range.
+    T_12 = 2 G_e gamma in simple shear.  As a function of (B, J), phi is linear in B and strictly convex in J.
+    Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
