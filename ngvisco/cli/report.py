@@ -32,6 +32,7 @@ _STEPS, _SECONDS = 12, 30.0
 
 def check(options: argparse.Namespace) -> int:
     """Validate a case, mesh it, and print its size, scales and cost; write no file."""
+    began = clock.perf_counter()
     SetNumThreads(1)
     case = cases.load_case(options.case, options.settings)
     mesh = case.mesh()
@@ -66,6 +67,7 @@ def check(options: argparse.Namespace) -> int:
             f"{least}, if all have dt_max = {adaptive.dt_max:g} s"
         )
     sys.stdout.flush()  # show these lines now: a hard step takes minutes
+    before = clock.perf_counter() - began
     start = scales(run)
     try:
         first, later, count, writing = _measure(case, run, steps)
@@ -73,7 +75,7 @@ def check(options: argparse.Namespace) -> int:
         _say_scales(replace(scales(run), unborne=start.unborne))
     print(f"memory     {_peak():.0f} MB, measured")
     total = first + (steps - 1) * later
-    estimate = f"{later:.2g} s a step, {_duration(total)} in all"
+    estimate = f"{later:.2g} s a step, {_duration(total)} in all, after {_duration(before)} of set-up"
     if writing is not None:
         cost, files = writing
         if adaptive is None:

@@ -107,7 +107,7 @@ def test_check_reports_and_writes_nothing(case_file, capsys, monkeypatch):
         r"Reynolds, rho v L/G_v +\d+",
         r"advice +shear waves cross the domain in 0.32 s, 16 steps",
         r"memory +\d+ MB",
-        r"s a step, .*, and 0\.\d+ s for 2 files of fields \(by its first 4\)",
+        r"s a step, .* in all, after \S+ s of set-up, and 0\.\d+ s for 2 files of fields \(by its first 4\)",
     ):
         assert re.search(pattern, printed), pattern
     for every, files in ((2, 3), (3, 3), (4, 2)):  # of 4 steps: the start, each of so many, and the end
@@ -126,7 +126,8 @@ def test_check_counts_steps_that_a_run_chooses_by_the_longest_one(case_file, cap
     for pattern in (
         r"adaptive steps to t = 1 s, the first 1e-06 s long; at least 20, if all have dt_max = 0.05 s",
         r"scales +domain 1 to 2 m",
-        r"in all, and .* for each file of fields, if all steps had the length dt_max; the present length is ",
+        r"in all, after .* of set-up, and .* for each file of fields, "
+        r"if all steps had the length dt_max; the present length is ",
     ):
         assert re.search(pattern, printed), pattern
     each, whole, unit = re.search(r"estimate +(\S+) s a step, (\S+) (s|min) in all", printed).groups()
