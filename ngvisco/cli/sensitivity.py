@@ -71,8 +71,7 @@ def fit(options: argparse.Namespace) -> int:
     )
     if result is None:
         return code
-    report = f"{result}\nAll numbers are in SI units. The case with these values:\n"
-    report += f"{_best_run(options, case, result)}\n"
+    report = f"{result}\nAll numbers are in SI units. {_best_run(options, case, result)}\n"
     (out / "fit.txt").write_text(report)
     numbers = np.column_stack([result.start, result.values, result.deviations, result.covariance])
     head = ["parameter", "start", "value", "deviation", *(f"covariance {name}" for name in result.by)]
@@ -150,13 +149,18 @@ def _sigma(text: str | None) -> float | dict[str, float] | None:
 
 
 def _best_run(options: argparse.Namespace, case: Case, result: Fit) -> str:
-    """The command that runs the case with the fitted values, each with its unit."""
+    """The command that runs the case with the fitted values, each with its unit; a run may have numbers that
+    its case has under no key, as those of the branches of a Prony series."""
     settings = list(options.settings)
     for name, value in zip(result.by, result.values, strict=True):
         key, unit = key_and_unit_of(name, case.sections)
         settings.append(f"{key}={value:.10g} {unit}".rstrip())
+    try:
+        cases.load_case(options.case, settings)
+    except cases.CaseError as error:
+        return f"The case has no keys for these values: {error}"
     words = ["ngvisco", "run", options.case, *(word for text in settings for word in ("--set", text))]
-    return shlex.join(map(str, words))
+    return f"The case with these values:\n{shlex.join(map(str, words))}"
 
 
 def _bounds(text: str, case: Case) -> tuple[str, tuple[float, float]]:

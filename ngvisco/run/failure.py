@@ -25,7 +25,7 @@ from ngvisco.run.files import write_atomically
 from ngvisco.run.scales import diameter
 from ngvisco.run.state import RunState
 from ngvisco.run.vtu import shown_by, write_vtu
-from ngvisco.solver.problem import Attempt, iterations
+from ngvisco.solver.problem import Attempt, Status, iterations
 
 _SHOWN = 4
 """Number of an attempt's last iterations whose increments a report shows."""
@@ -140,10 +140,17 @@ def failure_report(simulation: RunState, error: StepError) -> FailureReport:
         place=place,
         wall=nearest_wall(simulation.mesh, np.array(place))[0],
         history=tuple(error.history),
-        advice=tuple(_advice(simulation, violation, tau * rate, rate)),
+        advice=tuple([*_held(error.history), *_advice(simulation, violation, tau * rate, rate)]),
         parted=simulation.bounds.parted,
         nearest=simulation.bounds.nearest(),
     )
+
+
+def _held(history: Sequence[Attempt]) -> list[str]:
+    """Advice if rounding of the stress moved the body in some attempt."""
+    if not any(attempt.solution.status is Status.ROUNDING for attempt in history):
+        return []
+    return ["springs, walls.NAME.stiffness, or a larger density: rounding moves what only inertia holds"]
 
 
 def _fastest(simulation: RunState) -> tuple[float, int | None, tuple[float, ...]]:

@@ -235,7 +235,7 @@ class Newton:
                 elif damping > options.min_damping:
                     damping /= 2
                 else:
-                    return Status.STALLED
+                    return self._stalled()
                 if renewed or damping == 1.0:
                     self._set_increment(problem, fresh)
                 continue
@@ -285,6 +285,14 @@ class Newton:
         if not size <= NOISE_CAP * tolerance:
             return False
         return size <= NEAR * tolerance or size <= NOISE_MARGIN * self._noise()
+
+    def _stalled(self) -> Status:
+        """The end of an iteration in which no step length reduces the present increment."""
+        self._trial_residual.data = self._residual
+        size = self.norm(self._increment, self.state)
+        if not size <= NOISE_MARGIN * self._noise():
+            return Status.STALLED
+        return Status.CONVERGED if size <= NOISE_CAP * self.options.tolerance else Status.ROUNDING
 
     def _noise(self) -> float:
         """The change of the present increment if every number of the state changes by one unit in the last

@@ -98,6 +98,7 @@ class Status(Enum):
     CONVERGED = "converged"
     TOO_MANY_ITERATIONS = "too many iterations"
     STALLED = "no step length reduces the increment"
+    ROUNDING = "the increment is rounding of the equations"
     NOT_FINITE = "the residual is not finite"
     SINGULAR = "a linear system has no factorisation"
     INADMISSIBLE = "the solution of the equations is not admissible"

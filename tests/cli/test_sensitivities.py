@@ -143,6 +143,17 @@ def test_a_fit_speaks_the_case_s_units(case, tmp_path):
     assert load_case(case, again).sections.material.G_e == pytest.approx(5.0, rel=1e-4)
 
 
+def test_a_fit_prints_no_command_for_values_without_keys(case, tmp_path):
+    """A Prony series' case has shares and times; its run has creep moduli of branches."""
+    elastic = "{kind='LinearElastic',K_e=10.0,G_e=1.0}"
+    series = f"material={{kind='Prony',of='G_0',prony=[[0.5,1.0]],material={elastic}}}"
+    (tmp_path / "data.csv").write_text("time,dissipation_creep_mode_1\n0.02,0.002\n0.04,0.001\n")
+    words = ("--by", "material.branches.mode_1.creep.G_m", "--set", series, "--set", "time.until=0.04")
+    code, out, err = command("fit", case, tmp_path / "data.csv", *words, "--quiet", "-o", tmp_path / "fit")
+    assert code == 0, err
+    assert "The case has no keys for these values" in out and "ngvisco run" not in out
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

@@ -7,7 +7,7 @@ import pytest
 from ngsolve import cos, pi, sin, x, y
 
 import ngvisco as nv
-from ngvisco.geometries import box
+from ngvisco.geometries import box, structured_box
 from ngvisco.run.failure import FailureReport, showing, write_failure
 from ngvisco.solver.problem import Attempt, NewtonIteration, Solution, Status
 from tests.verification.setups import lid_driven
@@ -46,6 +46,27 @@ def test_a_refused_solution_is_reported_with_place_quantity_history_and_advice(f
     assert "time.limiter = true" in change and f"t = {run.t:.6g} s" in reached
     assert "limiter = True" not in text and "AdaptiveSteps" not in text
     assert len(below.splitlines()) <= 20 and max(map(len, text.splitlines())) < 400
+
+
+@pytest.mark.parametrize("stiffness", [0.0, 1e10])
+def test_rounding_moves_a_stiff_body_that_only_inertia_holds(stiffness):
+    """Steps are long beside the passage of waves; weak springs hold the body."""
+    pressures = {"left": 1e6 * nv.time, "right": 1e6 * nv.time, "top": 0.0, "bottom": 0.0}
+    springs = (stiffness, stiffness)
+    run = nv.Simulation(
+        structured_box((0.1, 0.1), (2, 2)),
+        nv.Model(material=nv.ReferentialNeoHookean(K_e=1e12, G_e=4e10)),
+        time=nv.TimeSteps(dt=0.05, halvings=0),
+        initial=nv.Initial(density=1e3),
+        walls={name: nv.Open(pressure=p, stiffness=springs) for name, p in pressures.items()},
+        solver="coupled",
+    )
+    if stiffness:
+        assert run.run(0.05).rows[-1]["time"] == 0.05
+        return
+    with pytest.raises(nv.StepError, match="the increment is rounding of the equations") as caught:
+        run.run(0.05)
+    assert "change     springs, walls.NAME.stiffness" in str(caught.value.report)
 
 
 def test_attempts_from_one_start_are_one_line():
