@@ -1,9 +1,8 @@
 """The stress at which a nonlinear flow rule is linearised, an unknown that is stored at the nodal points.
 
 Newton's method for z alone linearises rate(M(z)) (paper: ED-Euler-large3) at M(z).  For yield with a small
-viscosity G_m this tangent is right only within |M| G_m of the solution. The reason is that an increment
-which turns M by an angle a increases |M| by |M| a^2/2, and the rate by |M| a^2/(2 G_m).  With the stress M*
-as an unknown beside M(z),
+viscosity G_m this tangent is right only within |M| G_m of the solution. An increment that turns M by an angle
+a increases |M| by |M| a^2/2, and the rate by |M| a^2/(2 G_m).  With the stress M* as an unknown beside M(z),
 
     M* + c rate(M*) = Y,   M(z) = M*,   Pi = (Y - M*)/c,
 

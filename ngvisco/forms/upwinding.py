@@ -68,7 +68,7 @@ class Largest:
     def __init__(self) -> None:
         self._values: dict[str, np.ndarray] = {}
         self.growths = 0
-        """Number of calls in which a value has left zero."""
+        """Number of calls in which a value changed from zero."""
 
     def begin(self) -> None:
         """Begin the solution of a step."""

@@ -90,7 +90,7 @@ def equilibrium(
 
 
 def _compliance(y: np.ndarray, excess: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """The inverses psi''^-1, with zeros for the volume of a body that is held at its least, psi_J > m."""
+    """The inverses psi''^-1, with zeros for a volume at its lower bound, psi_J > m."""
     compliance = _inverse(second)
     held = (y[..., 0] <= _FLAT) & (excess[..., 0] > 0)
     compliance[held, 0], compliance[held, :, 0] = 0.0, 0.0

@@ -402,7 +402,7 @@ def told_apart(laws: Iterable[T], taken: Iterable[str] = ()) -> list[T]:
 
 
 def _with_own_names(law: T, name_of: Callable[[Parameter], str], is_own: bool) -> T:
-    """A law with names by ``name_of`` for the parameters made of its moduli, marked as own if ``is_own``."""
+    """A law whose moduli become parameters named by ``name_of``; ``is_own`` marks them as the law's own."""
 
     def named(expression: ParameterExpression) -> ParameterExpression:
         if not (isinstance(expression, _Modulus) and expression.is_own):

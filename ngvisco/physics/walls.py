@@ -140,7 +140,7 @@ class Passage(Wall):
 
 @dataclass(frozen=True, kw_only=True)
 class Inflow(Passage):
-    """v = V on the wall with a normal part of V, as at an inlet.
+    """v = V on the wall; V has a normal part, as at an inlet.
 
     Raises ParameterError if a parameter is out of its range.
 

@@ -122,7 +122,7 @@ class Checkpoints:
         kept = {number: kept[number] for number in sorted(kept)[-self.keep :]}
         if simulation.ranks.is_first:
             write_atomically(self.path, self._image(simulation, kept))
-        self._kept = kept  # set only after writing, so that after an error the end of the run tries again
+        self._kept = kept  # this is set after writing, so that the end of the run tries again after an error
 
     def _image(self, simulation: Simulation, kept: Mapping[int, Snapshot]) -> bytes:
         image = io.BytesIO()

@@ -377,7 +377,8 @@ class Ledger:
         return self.rows[-1]
 
     def defect_norms(self) -> tuple[float, np.ndarray]:
-        """The norm of J - det F in L2, NaN without it, and the root mean squares of the relative defects."""
+        """The norm of J - det F in L2, NaN if J or F is missing, and the root mean squares of the relative
+        defects."""
         size, gap, *squares = self.step.quadrature.integrate_cells(self._squares)
         return math.sqrt(gap) if self._has_both else math.nan, np.sqrt(np.array(squares) / size)
 

@@ -31,8 +31,8 @@ IMPULSE, ANGULAR = "impulse_", "angular_"
 TRANSFERRED = "impulse_transfer"
 """Column of the change of momentum when a state is carried over to another mesh or other parameters."""
 _ROUNDING = 1e-9
-"""Fraction of the largest exchange, and of the stresses' impulse, added to every direction's moving momentum
-to allow for rounding."""
+"""Fraction of the largest exchange, and of the stresses' impulse, that allows for rounding: it is added to
+the moving momentum of every direction."""
 LOST = 0.05
 """Value of ``momentum_defect_relative`` above which a run warns."""
 

@@ -233,7 +233,7 @@ class FixedStepper:
         self.begin(0.0, 0)
 
     def require(self, step: Step) -> None:
-        return  # fixed steps need nothing of a step
+        return  # steps of one length need no estimate of a step
 
     def begin(self, time: float, number: int) -> None:
         """Count steps from the state ``number`` at ``time``, as after steps with another dt."""

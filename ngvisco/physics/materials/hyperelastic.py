@@ -144,7 +144,8 @@ class NeoHookean(IsotropicElastic):
     Parameters
     ----------
     K_e : float
-        Modulus; the bulk modulus is K_e + epsilon, or with kappa K_e + kappa (kappa + 1) epsilon.
+        Modulus; the bulk modulus is K_e + epsilon. With ``kappa`` the bulk modulus is K_e + kappa (kappa + 1)
+        epsilon.
     epsilon : float
         Weight of the term that is singular at J = 0.
     kappa : float, optional
