@@ -104,7 +104,7 @@ from ngvisco.physics.walls import (
     Traction,
 )
 from ngvisco.run.adaptive import AdaptiveSteps, DamageWarning
-from ngvisco.run.body_tables import Bodies, SmearedWarning
+from ngvisco.run.body_tables import Bodies, SelfContactWarning, SmearedWarning
 from ngvisco.run.checkpoint import Checkpoints
 from ngvisco.run.contours import Contours
 from ngvisco.run.inlets import InflowWarning
@@ -250,6 +250,7 @@ __all__ = [
     "Regularisation",
     "Rejection",
     "RunDirectoryError",
+    "SelfContactWarning",
     "Shape",
     "Simulation",
     "Slip",

@@ -16,7 +16,7 @@ from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.tensors import inner, sym
 from ngvisco.run.files import AnyPath
 from ngvisco.run.frames import Lattice, places
-from ngvisco.run.outlines import Cut, Moments, distance
+from ngvisco.run.outlines import Cut, Moments, distance, facing
 from ngvisco.run.series import Every, Series
 from ngvisco.words import Mention
 
@@ -37,6 +37,10 @@ PIECES = 2
 
 class SmearedWarning(NgviscoWarning):
     """The interface of a body is several cells wide: the body dissolves in the matter around it."""
+
+
+class SelfContactWarning(NgviscoWarning):
+    """Two parts of a body's outline are less than a cell apart: they bear each other before they touch."""
 
 
 class FractionSamples:
@@ -74,14 +78,16 @@ class FractionSamples:
         sums = [np.bincount(number, theta) for theta in table[:, -count:].T]
         averaged = (np.array(sums) / np.bincount(number))[:, number]
         self._points, self._sizes = number[cells], table[cells[:, 0], 2 * dim]
-        self._corners = table[cells][:, :, : 2 * dim]
+        self._corners = table[cells][:, :, : 2 * dim + 1]
         self.places = number
         self._averaged = dict(zip(self.names, averaged[:, cells], strict=True))
         self._own = dict(zip(self.names, table[:, -count:].T[:, cells], strict=True))
         self._cuts: dict[str, Cut] = {}
 
     def cut(self, name: str) -> Cut:
-        """The part of the plane where a body's fraction is at least 1/2, with columns x, y, v_1, v_2."""
+        """The part of the plane where a body's fraction is at least 1/2.
+
+        Its columns are x, y, v_1, v_2 and the size of the cell."""
         if name not in self._cuts:
             self._cuts[name] = Cut.of(self._corners, self._points, self._averaged[name], _HALF)
         return self._cuts[name]
@@ -96,7 +102,7 @@ class FractionSamples:
         count = len(self._corners)
         shares = np.broadcast_to(np.eye(3), (count, 3, 3))
         number = np.broadcast_to(np.arange(count, dtype=float)[:, None, None], (count, 3, 1))
-        corners = np.concatenate([self._corners, shares, number], axis=2)
+        corners = np.concatenate([self._corners[:, :, :4], shares, number], axis=2)
         theta = self._averaged[name]
         return Cut.of(corners, self._points, theta, _HALF), self._corners[:, :, :2], theta
 
@@ -222,7 +228,8 @@ class Bodies(Series):
     |  | about the centroid, ``NAME_torque``, in 3D ``NAME_torque_x``, ..., N m |
 
     A body that crosses a periodic boundary is in parts: centroid and moments are not those of one body.  A
-    ``SmearedWarning`` is issued, once, for a body with a place whose interface is more than three cells wide.
+    ``SmearedWarning`` is issued, once, for a body with a place whose interface is more than three cells wide,
+    and in two dimensions a ``SelfContactWarning`` if parts of its outline face each other within a cell.
     A run's HDF5 file (``Checkpoints``) holds the columns in the group ``bodies``.
     A run raises ParameterError for a model without bodies, for a measure that needs an outline in three
     dimensions, and for ``gap`` of fewer than two bodies that have a place.
@@ -247,7 +254,7 @@ class Bodies(Series):
         for name in self.measures:
             if name not in get_args(Measure):
                 raise ParameterError("Bodies.measures", name, f"some of {', '.join(get_args(Measure))}")
-        self._is_said: set[str] = set()
+        self._is_said: set[tuple[str, type[NgviscoWarning]]] = set()
 
     def prepare(self, simulation: Simulation) -> list[str]:
         step, material, dim = simulation.rothe_step, simulation.model.material, simulation.mesh.dim
@@ -355,15 +362,30 @@ class Bodies(Series):
         return np.array(rows)
 
     def _look(self, simulation: Simulation, smeared: np.ndarray) -> None:
-        """Warn, once for each body, of an interface that has become wide."""
+        """Warn, once for each body, of an interface that has become wide, and of an outline that meets
+        itself."""
         for name, width in zip(self.names, smeared, strict=True):
-            if name in self._placed and name not in self._is_said and width > _WIDE:
-                self._is_said.add(name)
+            if name not in self._placed:
+                continue
+            if width > _WIDE:
                 message = (
-                    f"at t = {simulation.t:.4g} s the interface of the body {name!r} is {width:.2g} cells "
-                    "wide: it dissolves; take smaller cells, discretisation.m = 2, or an earlier end"
+                    f"the interface of the body {name!r} is {width:.2g} cells wide: it dissolves; take "
+                    "smaller cells, discretisation.m = 2, or an earlier end"
                 )
-                simulation.ranks.warn(message, SmearedWarning, stacklevel=4)
+                self._warn(simulation, name, message, SmearedWarning)
+            ends = np.zeros((0, 2, 5)) if self.fractions.dim != 2 else self.fractions.cut(name).ends
+            if (cells := facing(ends)) < 1:
+                message = (
+                    f"parts of the outline of the body {name!r} face each other at {cells:.2g} cells: they "
+                    "bear each other before they touch, and may stick; take smaller cells there"
+                )
+                self._warn(simulation, name, message, SelfContactWarning)
+
+    def _warn(self, simulation: Simulation, name: str, message: str, kind: type[NgviscoWarning]) -> None:
+        """Warn of a body, once of each kind."""
+        if (name, kind) not in self._is_said:
+            self._is_said.add((name, kind))
+            simulation.ranks.warn(f"at t = {simulation.t:.4g} s {message}", kind, stacklevel=5)
 
 
 def require_bodies(owner: str, material: Any) -> tuple[Any, ...]:

@@ -9,9 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 _CHUNK = 1_000_000
 """Number of pairs of points and segments in one array."""
+_OPPOSITE = 0.8
+"""Cosine of the angle between an outward normal and the way to another place, above which both face."""
 
 
 @dataclass(frozen=True)
@@ -188,6 +191,29 @@ def distance(one: np.ndarray, other: np.ndarray) -> float:
     """Least distance of outlines that do not cross, (segments, 2, columns) each; inf if one is empty."""
     gap = closest(one, other)
     return np.inf if gap is None else gap.width
+
+
+def facing(ends: np.ndarray) -> float:
+    """Least distance in cells of two places of an outline that face each other across what is outside.
+
+    ``ends``, (segments, 2, columns), has the size of cells in the column after x, y, v_1, v_2. Places that
+    are more than a cell apart are not compared; the result is inf if none face each other.
+    """
+    if len(ends) < 2:
+        return np.inf
+    along, middle, sizes = (
+        ends[:, 1, :2] - ends[:, 0, :2],
+        ends[:, :, :2].mean(axis=1),
+        ends[:, :, 4].mean(axis=1),
+    )
+    lengths = np.maximum(np.linalg.norm(along, axis=1, keepdims=True), np.finfo(float).tiny)
+    outwards = np.stack([along[:, 1], -along[:, 0]], axis=1) / lengths
+    i, j = cKDTree(middle).query_pairs(sizes.max(), output_type="ndarray").T
+    off = middle[j] - middle[i]
+    width = np.linalg.norm(off, axis=1)
+    across = np.minimum((outwards[i] * off).sum(axis=1), -(outwards[j] * off).sum(axis=1))
+    cells = width / np.minimum(sizes[i], sizes[j])
+    return float(cells[(across > _OPPOSITE * width) & (cells < 1)].min(initial=np.inf))
 
 
 def _to_segments(

@@ -2,10 +2,11 @@
 
 import csv
 import math
+import warnings
 
 import numpy as np
 import pytest
-from ngsolve import CF, Id, x, y
+from ngsolve import CF, Id, IfPos, x, y
 from scipy.special import ellipe
 
 import ngvisco as nv
@@ -196,6 +197,22 @@ def test_a_body_that_dissolves_is_warned_of_once():
         table._sample(blurred)
         table._sample(blurred)
     assert len(said) == 1  # not of the rest, whose interface it is too
+
+
+@pytest.mark.parametrize("slit", [0.1, 0.4])
+def test_a_body_whose_outline_meets_itself_is_warned_of_once(slit):
+    """A block with a slit, of half a cell or of two cells, that does not divide the block."""
+    in_slit = IfPos((slit / 2) ** 2 - (x - 0.5) ** 2, y - 0.4, -1.0)
+    where = IfPos(in_slit, -1.0, 0.16 - (y - 0.5) ** 2)
+    run = run_with(("e", where), maxh=0.2, m=1, initial=nv.Initial(velocity=CF((0.0, 0.0))))
+    table = nv.Bodies()
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        table.start(run)
+        table._sample(run)
+    said = [str(one.message) for one in said if one.category is nv.SelfContactWarning]
+    assert len(said) == (slit < 0.2)
+    assert all("body 'e' face each other at 0." in text for text in said)
 
 
 def test_contours_are_rows_and_lines_for_paraview(tmp_path):
