@@ -602,6 +602,12 @@ MUTANTS = [
     *_of(
         "forms/sharpening.py",
         (
+            "room of an absent body",
+            "lowered > _ROUNDING * size[:, None]",
+            "lowered > 0 * size[:, None]",
+            SHARP + "test_the_sign_of_an_absent_body_does_not_matter",
+        ),
+        (
             "cells that a step passes",
             "initial=0.0) >= 1  # strips",
             "initial=0.0) >= 1e9  # strips",

@@ -61,6 +61,7 @@ from ngvisco.forms.mesh.mesh_arrays import VERTICES
 from ngvisco.forms.mesh.quadrature import compiled
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.exchange import Exchange, Halo
 from ngvisco.physics.bodies import AMOUNT, NO_INTERFACE
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.tensors import if_positive
@@ -100,7 +101,6 @@ def check_sharp(step: Step) -> None:
         ),
         (material.heat is not None, " for bodies with heat"),
         (bool(material.plastic_contents), " for bodies that harden"),
-        (Communicator.of(mesh).is_distributed, " over ranks"),
         ({cell.type for cell in mesh.Elements(VOL)} - {ET.TRIG, ET.TET}, " on quadrilaterals"),
     ):
         if is_wrong:
@@ -127,13 +127,14 @@ class Sharpening:
         self._x = np.asarray(CF((x, y, z)[: self.dim])(self._corners)).reshape(-1, self.dim + 1, self.dim)
         self._basis, self._functions, self._inverse, self._masses = self._of_cells()
         self._mass = self._masses.sum(axis=1)
+        self._ranks = Communicator.of(self.mesh)
         self._vertices, self._facets, self._sides = self._of_vertices_and_facets()
         self._outflows = [self._outflow(step.now.z[n]) for n in self._amounts]
         corners = range(self.dim + 1)
         self._on = np.array([[c for c in corners if c != opposite] for opposite in corners])
         edges = self._x[:, 1:] - self._x[:, :1]
         self._volumes = np.abs(np.linalg.det(edges)) / (2 if self.dim == 2 else 6)
-        self._longest = float(self._volumes.max()) ** (1 / self.dim)
+        self._longest = self._ranks.most(self._volumes.max(initial=0.0)) ** (1 / self.dim)
         is_round = step.layout.symmetry.is_axisymmetric
         self._radii = np.maximum(self._x[:, :, 0], 0.0) if is_round else None  # weights of volumes at corners
         slopes = np.swapaxes(np.linalg.inv(edges), 1, 2)
@@ -168,7 +169,7 @@ class Sharpening:
                 f"on interfaces go astray: take time.dt (or dt_max) <= {longest:.2g} s, or larger cells there"
             )
             words = Words(Mention(_FIELD), " = ", True, message)
-            Communicator.of(self.mesh).warn(words, InputWarning, stacklevel=5)
+            self._ranks.warn(words, InputWarning, stacklevel=5)
 
     def put_apart(self, tau: float) -> None:
         """Separate bodies of the present state at the end of a step of length ``tau``, s."""
@@ -183,6 +184,7 @@ class Sharpening:
         }
         for (i, j), pair in pairs.items():
             self._between(u, i, j, self._defects(i, j, strips), pair)
+        self.swept = self._ranks.most(self.swept)
         self._fill(u)
         for (i, j), pair in pairs.items():
             is_apart[self._within(u, i, j, pair)] = True
@@ -211,7 +213,10 @@ class Sharpening:
     def _averaged(self, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """Values at corners of cells, (cells, corners), averaged over the corners at each vertex."""
         weights = np.repeat(weights, values.shape[1])
-        sums = [np.bincount(self._vertices.ravel(), sizes) for sizes in (weights * values.ravel(), weights)]
+        count, at = self._shared.count, self._vertices.ravel()
+        sums = self._shared.sum(
+            np.array([np.bincount(at, w, count) for w in (weights * values.ravel(), weights)])
+        )
         averages: np.ndarray = (sums[0] / np.maximum(sums[1], np.finfo(float).tiny))[self._vertices]
         return averages
 
@@ -268,6 +273,9 @@ class Sharpening:
 
     def _between(self, u: np.ndarray, i: int, j: int, defects: np.ndarray, pair: np.ndarray) -> None:
         """Exchange the fluxes' defects between cells of the mask ``pair``, in place."""
+        pair, across = self._halo.with_others(pair.astype(float)) > 0, len(self._halo.beside)
+        defects = np.pad(defects, ((0, across), (0, 0)))
+        defects[len(defects) - across :, 0] = self._halo.swapped(defects[*self._at_border])
         facets = self._facets[pair[self._facets[:, 0]] & pair[self._facets[:, 2]]]
         cell, corner, neighbour, opposite = facets.T
         left = defects[cell, corner] - defects[neighbour, opposite]
@@ -283,9 +291,9 @@ class Sharpening:
         cell, _, neighbour, _ = self._facets.T
         giving, taking = np.concatenate([cell, neighbour]), np.concatenate([neighbour, cell])
         for i in range(len(self._amounts)):
-            amounts = self._means(u)[self._amounts] * self._mass
+            amounts = self._contained(u)[self._amounts]
             has, lacks = np.maximum(amounts, 0.0), np.maximum(-amounts[i], 0.0)
-            total, others = np.bincount(taking, has[i, giving], len(lacks)), has.sum(axis=0) - has[i]
+            total, others = self._received(taking, has[i, giving]), has.sum(axis=0) - has[i]
             filling = (lacks / np.where(total > 0, total, 1.0))[taking] * has[i, giving]
             for j in set(range(len(self._amounts))) - {i}:
                 share = has[j] / np.where(others > 0, others, 1.0)
@@ -297,25 +305,38 @@ class Sharpening:
         """Exchange ``wanted`` amounts of a body, given by the cells of ``one``, for equal amounts of another
         body from the cells of ``two``, in place and as far as the cells have these amounts; return what was
         exchanged. For matter that fills up a negative amount a cell gives its own X/n."""
-        start, amount, count = self._means(u) * self._mass, wanted, len(self._mass)
+        start, amount = self._contained(u), wanted
         least = _ROUNDING * start[self._amounts].sum(axis=0)
         for body, source in (one, two):
             has = start[self._amounts[body]]
-            gives = np.bincount(source, wanted, count)
+            gives = self._received(source, wanted)
             share = np.minimum(1.0, np.where(has > least, has, 0.0) / np.where(gives > 0, gives, 1.0))
             amount = np.minimum(amount, wanted * share[source])
         for (body, source), (_, target) in ((one, two), (two, one)):
             n, contents = self._amounts[body], self._contents[body]
-            takes, lacks = np.bincount(target, amount, count), np.where(-start[n] > least, -start[n], 0.0)
+            takes, lacks = self._received(target, amount), np.where(-start[n] > least, -start[n], 0.0)
             filling = amount * np.minimum(1.0, lacks / np.where(takes > 0, takes, 1.0))[target]
             for part, at in ((filling, target), (amount - filling, source)):
-                whole = self._means(u) * self._mass
+                whole = self._contained(u)
                 is_some = abs(whole[n, at]) > least[at]
                 share = np.where(is_some, part / np.where(is_some, whole[n, at], 1.0), 0.0)
                 for component, carried in ((n, part), *((X, share * whole[X, at]) for X in contents)):
-                    change = np.bincount(target, carried, count) - np.bincount(source, carried, count)
+                    change = self._sums(target, carried) - self._sums(source, carried)
                     u[component] += (change / self._mass)[:, None]
         return amount
+
+    def _contained(self, u: np.ndarray) -> np.ndarray:
+        """Integrals over own and halo cells of functions with the values ``u`` at corners, (components,
+        cells)."""
+        return self._halo.with_others((self._means(u) * self._mass).T).T
+
+    def _sums(self, cells: np.ndarray, amounts: np.ndarray) -> np.ndarray:
+        """Sums of ``amounts`` over the own cells with the numbers ``cells``, (own cells,)."""
+        return np.bincount(cells, amounts, self._halo.count)[: self._halo.cells]
+
+    def _received(self, cells: np.ndarray, amounts: np.ndarray) -> np.ndarray:
+        """``_sums`` of own cells and of halo cells, which their ranks know, (cells,)."""
+        return self._halo.with_others(self._sums(cells, amounts))
 
     def _within(self, u: np.ndarray, i: int, j: int, pair: np.ndarray) -> np.ndarray:
         """Separate bodies i and j by planes in cells of the mask ``pair``, in place; return the numbers of
@@ -348,7 +369,8 @@ class Sharpening:
         means = self._means(u)[:, cells]
         size = means[self._amounts].sum(axis=0)
         even = (means[self._amounts] / size)[:, :, None] * u[self._amounts][:, cells].sum(axis=0)
-        most = np.maximum(even, 0.0) / np.maximum(-deviation, np.finfo(float).tiny)
+        lowered = np.maximum(-deviation, np.finfo(float).tiny)  # an absent body's mean has either sign
+        most = np.where(lowered > _ROUNDING * size[:, None], np.maximum(even, 0.0) / lowered, 1.0)
         deviation = np.minimum(1.0, most.min(axis=(0, 2)))[:, None] * deviation
         for n, contents, amounts in zip(self._amounts, self._contents, even + deviation, strict=True):
             u[n, cells] = amounts
@@ -391,10 +413,12 @@ class Sharpening:
         """Numbers of the cells' vertices, (cells, corners); facets between two cells, as rows of a cell, its
         corner opposite to the facet, the other cell and its opposite corner; and for each corner the number,
         within the cell, of the facet opposite to it, (cells, corners).  Identified vertices and facets count
-        once."""
+        once.  A halo cell has one facet, whose corner has the number 0."""
         periodic = bool(self.step.walls.periodic)
-        nodes, facets = H1(self.mesh, order=1), FacetFESpace(self.mesh, order=0)
-        vertices, sides = (_numbers(Periodic(s) if periodic else s) for s in (nodes, facets))
+        spaces = H1(self.mesh, order=1), FacetFESpace(self.mesh, order=0)
+        nodes, facets = (Periodic(s) if periodic else s for s in spaces)
+        vertices, sides = _numbers(nodes), _numbers(facets)
+        self._shared, borders = (Exchange.of(space, self._ranks) for space in (nodes, facets))
         points = np.array([vertex.point for vertex in self.mesh.vertices])
         first, rows, opposite = dict[int, tuple[int, int]](), [], np.empty_like(sides)
         for cell, element in enumerate(self.mesh.Elements(VOL)):
@@ -409,9 +433,13 @@ class Sharpening:
                     rows.append([*first[number], cell, corner])
                 else:
                     first[number] = cell, corner
+        border = np.array([first[number] for number in borders.places], dtype=int).reshape(-1, 2)
+        self._halo, self._at_border = Halo(borders, border[:, 0], self.mesh.ne), border.T
+        rows += [[*of_rank, self.mesh.ne + number, 0] for number, of_rank in enumerate(border)]
         return vertices, np.array(rows, dtype=int).reshape(-1, 4), opposite
 
 
 def _numbers(space: FESpace) -> np.ndarray:
-    """Numbers of the unknowns of every cell, (cells, unknowns)."""
-    return np.array([space.GetDofNrs(ElementId(VOL, cell)) for cell in range(space.mesh.ne)])
+    """Numbers of the dim + 1 unknowns of every cell, (cells, unknowns)."""
+    numbers = [space.GetDofNrs(ElementId(VOL, cell)) for cell in range(space.mesh.ne)]
+    return np.array(numbers, dtype=int).reshape(space.mesh.ne, space.mesh.dim + 1)

@@ -37,7 +37,7 @@ class Places:
 
     def values(self, function: CoefficientFunction) -> np.ndarray:
         """Values of a function, (cells * points, components)."""
-        return np.asarray(function(self.points)).reshape(len(self.points), -1)
+        return np.asarray(function(self.points)).reshape(len(self.points), function.dim)
 
     @cached_property
     def coordinates(self) -> np.ndarray:
@@ -68,7 +68,7 @@ class Places:
     @cached_property
     def spacing(self) -> np.ndarray:
         """Longest edge of sub-cells in each point's cell, without sub-cells the cell's box diagonal, m."""
-        places = self.coordinates.reshape(len(self.cells), len(self.reference), -1)
+        places = self.coordinates.reshape(len(self.cells), len(self.reference), self.mesh.dim)
         if self.pieces is None:
             longest = np.linalg.norm(np.ptp(places, axis=1), axis=1)
         else:

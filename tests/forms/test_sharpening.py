@@ -225,6 +225,27 @@ def test_fractions_of_three_bodies_in_a_cell_are_bounded(dim):
     assert stored(step) == pytest.approx(energy, rel=1e-12)
 
 
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_the_sign_of_an_absent_body_does_not_matter(sign):
+    """Where a third body is absent up to rounding, of either sign, the others have a plane; when the sign
+    bounded slopes, every second interface was an even mixture."""
+    both = {"material": LINEAR, "density": 1.0}
+    of = [*bodies(), nv.Body(name="absent", where=nv.Ball((0.0, 0.0), 0.15), **both)]
+    step = Step(box((1, 1), 0.2), nv.Model(bodies=of), SHARP)
+    sampler = Sampler(step.mesh, step.quadrature)
+    set_initial(step, nv.Initial(), sampler)
+    by = Bounds(step, sampler).sharpening
+    before = by._values()[by._amounts]
+    z = by._state()
+    z[by._amounts[2], :] += sign * 1e-20
+    by.begin()
+    by.put_apart(0.01)
+    theta = by._values()[by._amounts[1]] / by._values()[by._amounts].sum(axis=0)
+    cut = np.abs(by._means(by._values())[by._amounts[1]] - 0.5) < 0.4
+    assert cut.sum() > 10 and np.ptp(theta[cut], axis=1).min() > 0.1
+    assert np.abs(by._means(by._values()[by._amounts]) - by._means(before)).max() < 1e-14
+
+
 def test_an_even_mixture_has_no_interface_whatever_rounding_makes_of_it(rng):
     """Bodies with equal fractions in all cells, up to 1e-13, stay as they are, because no slope has a
     direction."""

@@ -179,6 +179,29 @@ def bodies(solver: str, maxh: float = 0.4) -> nv.Simulation:
     )
 
 
+def apart(solver: str, dim: int = 2) -> nv.Simulation:
+    """Bodies that are separated after each step, two of which meet in a third; periodic in the plane."""
+    laws = {"viscosity": VISCOSITY, "density": 1.0}
+    solid, fluid = nv.ReferentialNeoHookean(K_e=10.0, G_e=2.0), nv.ReferentialNeoHookean(K_e=10.0, G_e=0.1)
+    centre = (0.5, 0.55, 0.5)[:dim]
+    parts = [
+        nv.Body(name="ball", where=nv.Ball(centre, 0.25), material=solid, order=1, **laws),
+        nv.Body(name="layer", where=0.35 - y, material=solid, **laws),
+        nv.Body(name="rest", material=fluid, **laws),
+    ]
+    periodic = {"periodic": "x"} if dim == 2 else {}
+    return nv.Simulation(
+        structured_box((1,) * dim, (6, 5) if dim == 2 else (3, 3, 2), **periodic),
+        nv.Model(bodies=parts),
+        dt=0.04,
+        initial=nv.Initial(velocity=(1 + y, 0.0) if dim == 2 else (*SWIRL, 0.0)),
+        discretisation=nv.Discretisation(sharp=True),
+        newton=nv.NewtonOptions(method=solver, tolerance=1e-12),
+        observers=[nv.Bodies(measures=["outline"] if dim == 2 else [])],
+        scheme="midpoint",
+    )
+
+
 def parameters(solver: str) -> nv.Simulation:
     """A transported modulus and a transported viscosity, which overshoot and are limited."""
     theta = nv.Parameter("theta", start=0.5 + 0.4 * sin(3 * x) * cos(2 * y))
@@ -321,7 +344,14 @@ def carried(dim: int) -> nv.Simulation:
 
 
 OF_BOTH: dict[str, Callable[[str], nv.Simulation]] = {
-    **{"Yosida": yosida, "bodies": bodies, "heated": heated, "parameters": parameters, "block": block},
+    **{
+        "Yosida": yosida,
+        "bodies": bodies,
+        "apart": apart,
+        "heated": heated,
+        "parameters": parameters,
+        "block": block,
+    },
     **{"network": network, "solute": solute},
     **{"disc": disc, "lid": lid, "window": window, "revolved": revolved},
 }
@@ -348,6 +378,7 @@ CASES |= {
     "channel": lambda: channel(passive=["reference_map"]),
     "split channel": lambda: channel("split"),
     "split channel, two levels": lambda: channel("split", newton=TWO_LEVELS),
+    "split apart in space": lambda: apart("split", 3),
     "split crystal": lambda: crystal("split"),
     "split crystal, delta": lambda: crystal("split", DELTA),
     "creep": creep,

@@ -83,10 +83,11 @@ GROUPS = {
     "of default": "split creep; delta, 2D, split",
     # with those above every mechanism once, by one of the solvers; in space, with an oblique, a curved wall
     "of CI": "carried; observed; sdirk2; adaptive; own term; channel; quadrilateral; slip disc; split; "
-    "split crystal; split bodies; split parameters; split heated; split Yosida; split, two levels; "
-    "split, Newton-Krylov; split, all regularisations; split own tableau; "
+    "split crystal; split bodies; split apart; split parameters; split heated; split Yosida; "
+    "split, two levels; split, Newton-Krylov; split, all regularisations; split own tableau; "
     "split relaxation; split block; split turned; split slip disc, two levels; split window; split network; "
     "split revolved; split solute",
+    "apart": "apart; split apart; split apart in space",
     "networks and a solute": "network; split network; solute; split solute",
     "coupled": "carried; carried in space; Yosida; observed; parameters; heated; bodies; observed block; "
     "swirl; midpoint; sdirk2; adaptive; block; disc; lid; window; creep; limited",
