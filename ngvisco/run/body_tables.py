@@ -7,10 +7,11 @@ from itertools import combinations
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_args
 
 import numpy as np
-from ngsolve import CF, H1, CoefficientFunction, Grad, GridFunction, Periodic, x, y, z
+from ngsolve import CF, H1, L2, CoefficientFunction, Grad, GridFunction, Periodic, x, y, z
 
 from ngvisco.errors import NgviscoWarning, ParameterError, Quantity, require_some_names
-from ngvisco.parallel.exchange import Interpolation
+from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.exchange import Exchange
 from ngvisco.physics.bodies import AMOUNT
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.tensors import inner, sym
@@ -134,7 +135,14 @@ class Tractions:
         self._step, self._dim = step, step.mesh.dim
         space = H1(step.mesh, order=1)
         space = Periodic(space) if step.walls.periodic else space
-        self.chi, self._interpolate = {name: GridFunction(space) for name in names}, Interpolation(space)
+        self.chi = {name: GridFunction(space) for name in names}
+        self._lattice, self._projected = Lattice(step.mesh, 1), GridFunction(L2(step.mesh, order=1))
+        self._exchange = Exchange.of(space, Communicator.of(step.mesh))
+        numbers = GridFunction(space)
+        numbers.vec.FV().NumPy()[:] = np.arange(space.ndof)
+        self._numbers = np.rint(self._lattice.values(numbers)[:, 0]).astype(int)
+        """Number of chi's unknown at every corner of every cell; a cell may meet its own periodic image."""
+        self._counts = self._sums(np.ones(len(self._numbers)))
         pairs = [(0, 0), (1, 1), (2, 2), (0, 1), *([(0, 2), (1, 2)] if self._dim == 3 else [])]
         self.of_stress = {f"stress_{i + 1}{j + 1}": (i, j) for i, j in pairs}
         axes = "xyz"[: self._dim]
@@ -176,7 +184,13 @@ class Tractions:
         """Set chi at each vertex to the mean, over the vertex's cells, of the fraction's P1 projection in a
         cell."""
         for name, chi in self.chi.items():
-            self._interpolate(chi, self._theta[name])
+            self._projected.Set(self._theta[name])
+            sums = self._sums(self._lattice.values(self._projected)[:, 0])
+            chi.vec.FV().NumPy()[:] = sums / np.maximum(self._counts, 1)
+
+    def _sums(self, at_corners: np.ndarray) -> np.ndarray:
+        """Sums over cells' corners of values there, by chi's unknowns."""
+        return self._exchange.sum(np.bincount(self._numbers, at_corners, self._exchange.count))
 
     def forces(self, centres: np.ndarray) -> np.ndarray:
         """Forces, N, and torques, N m, about the bodies' ``centres``, (bodies, dim): (bodies, components)."""

@@ -7,10 +7,10 @@ import re
 import h5py
 import numpy as np
 import pytest
-from ngsolve import Integrate
+from ngsolve import Integrate, pi, sin, y
 
 import ngvisco as nv
-from ngvisco.geometries import box
+from ngvisco.geometries import box, structured_box
 from ngvisco.run.frames import outlined
 from ngvisco.run.pictures import plot_fields
 from ngvisco.run.scene import write_scene, write_scene_of_series
@@ -173,3 +173,25 @@ def test_a_passive_field_is_no_body():
     passive, of_bodies = ["density", "dye_fraction", "pressure"], ["fluid_fraction", "disc_fraction", "body"]
     assert outlined([*passive, *of_bodies, "salt_fraction"]) == ["fluid_fraction"]
     assert outlined(passive) == []
+
+
+def test_tractions_in_a_periodic_strip_of_one_cell_are_those_of_two():
+    """Each cell of the narrow strip meets its own image: all lengths of a strip have one force."""
+    forces = []
+    for cells in (1, 2):
+        light, heavy = (nv.IsochoricNeoHookean(K_e=10.0, G_e=G_e) for G_e in (1.0, 2.0))
+        bodies = [
+            nv.Body(name="light", where=0.5 - y, material=light, density=1.0),
+            nv.Body(name="heavy", material=heavy, density=2.0),
+        ]
+        table = nv.Bodies(None, measures=["traction"])
+        run = nv.Simulation(
+            structured_box((0.25 * cells, 1), (cells, 4), periodic="x"),
+            nv.Model(bodies=bodies),
+            dt=0.02,
+            initial=nv.Initial(velocity=(0.1 * sin(pi * y), 0.02 * sin(pi * y))),
+            observers=[table],
+        )
+        run.run(0.04)
+        forces.append([table.column(f"light_force_{axis}")[-1] for axis in "xy"])
+    assert 2 * np.array(forces[0]) == pytest.approx(np.array(forces[1]), rel=1e-9)
