@@ -9,7 +9,8 @@ import ngvisco as nv
 from ngvisco.errors import ParameterError
 from ngvisco.forms.term import PointTerm
 from ngvisco.geometries import box
-from ngvisco.physics.variables import Concentration, ReciprocalJacobian
+from ngvisco.physics.tensors import square
+from ngvisco.physics.variables import Concentration, Distortion, Jacobian, ReciprocalJacobian
 
 
 def gel(energy=swelling):
@@ -118,3 +119,13 @@ def test_a_wall_says_something():
         nv.WallExchange()
     with pytest.raises(ParameterError, match="go together"):
         nv.WallExchange(potential=1.0)
+
+
+def test_the_start_of_a_solute_beside_a_distortion_is_no_contradiction(recwarn):
+    def energy(F, J, c):
+        return square(F) + 5 * (J - 1 - c) * (J - 1 - c) + c * c
+
+    gel = nv.CustomMaterial(transported=(Distortion(), Jacobian(), Concentration("c")), stored_energy=energy)
+    start = nv.Initial(values={"c": 0.5})
+    nv.Simulation(box((1, 1), maxh=1), nv.Model(material=gel), dt=0.05, initial=start)
+    assert not [str(warning.message) for warning in recwarn if "does not follow" in str(warning.message)]
