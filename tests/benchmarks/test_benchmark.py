@@ -80,7 +80,7 @@ def test_answers_say_what_to_choose_and_how_that_is_to_an_older_table(tmp_path, 
     assert len(rows) == 16 and rows == sorted(rows, key=lambda row: row["seconds"])
     best = [row for row in rows if row["best"]]
     assert best[0] == rows[0] and best[-1]["error"] == min(row["error"] for row in rows)
-    for row in rows:  # what is not marked is beaten by something cheaper
+    for row in rows:  # an unmarked row is beaten by something cheaper
         beaten = any(r["error"] <= row["error"] and r["seconds"] <= row["seconds"] for r in rows if r != row)
         assert row["best"] or beaten
     for error, line in zip(answers.ERRORS, answers.to_the_same_error(rows).splitlines()[2:], strict=True):
@@ -98,7 +98,7 @@ def test_answers_say_what_to_choose_and_how_that_is_to_an_older_table(tmp_path, 
 
 def test_answers_measure_a_run():
     kinetic, seconds = answers.measured("shear wave", (2, 1), 1, 2, "midpoint")
-    assert 0 < kinetic < 0.5 * 0.5 * 0.1**2 * 5 * 1.01 and seconds > 0  # of rho v^2/2, v = 0.1 c cos(2 pi x)
+    assert 0 < kinetic < 0.5 * 0.5 * 0.1**2 * 5 * 1.01 and seconds > 0  # rho v^2/2 with v = 0.1 c cos(2 pi x)
 
 
 def test_a_long_step_is_measured():

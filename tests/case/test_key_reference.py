@@ -71,7 +71,7 @@ def placed(entry, kind):
     """A case in which the key has its example, in a section of this kind with all else that the section
     requires."""
     data = tomllib.loads(BASE)
-    if {"bodies", "contours"} & {*entry.path[:2]}:  # also what is measured of them
+    if {"bodies", "contours"} & {*entry.path[:2]}:  # tables of bodies need bodies
         data["bodies"] = [{"name": "block", "material": OF_BODY, "density": 1.0}]
         del data["material"]
     path = [{"NAME": "left", "N": "0"}.get(part, part) for part in entry.path]
@@ -84,7 +84,7 @@ def placed(entry, kind):
     if kind in WRAPPERS and kind != "Network":
         needed["material"] = data["material"]
     needed |= WITHIN.get(kind, {})
-    if entry.path[-1] == "parameters" and kind != "Python":  # which the energy has to read
+    if entry.path[-1] == "parameters" and kind != "Python":  # the energy has to read its parameters
         needed["energy"] = f"G*({needed['energy']})"
     node = data
     for depth, part in enumerate(section):
@@ -97,7 +97,7 @@ def placed(entry, kind):
             fresh = last and kind is not None
             node[{"NAME": "left"}.get(part, part)] = {} if fresh else node.get(part, {})
             node = node[{"NAME": "left"}.get(part, part)]
-    if section[-1:] == ("heat",) and section[0] == "walls":  # whose wall has a kind, as those of others
+    if section[-1:] == ("heat",) and section[0] == "walls":  # a wall with heat needs a kind
         data["walls"]["left"] |= {"kind": "Slip"}
         needed = {"temperature": 300.0, "coefficient": 10.0}
     if section:

@@ -15,7 +15,7 @@ from ngvisco.words import FUNCTION, Mention, Words, call
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore:bodies .* meet with different stresses"),
-    pytest.mark.timeout(30),  # what hung did so for hours
+    pytest.mark.timeout(30),  # a hanging case once ran for hours
 ]
 
 HEAD = """
@@ -223,7 +223,7 @@ def test_a_pipe_is_no_case_file(tmp_path):
             nv.load_case(tmp_path / "case.toml")
         found.append(True)
 
-    reader = threading.Thread(target=read, daemon=True)  # which a failing one leaves waiting
+    reader = threading.Thread(target=read, daemon=True)  # a failing read leaves this thread waiting
     reader.start()
     reader.join(5)
     assert found

@@ -96,7 +96,9 @@ def tables():
         (LOADS, ("loads", 0)),
         (WALLS, ("walls", "top")),
     ):
-        for name in (name for name in kinds if name != "Python"):  # of a file: case/test_python_materials.py
+        for name in (
+            name for name in kinds if name != "Python"
+        ):  # materials of a file are in case/test_python_materials.py
             section = tuple({"top": "NAME", 0: "N"}.get(part, part) for part in path)
             yield path, {"kind": name, **required(section, name), **NEEDED.get(name, {})}
     for name in MECHANISMS:

@@ -110,7 +110,7 @@ def test_check_reports_and_writes_nothing(case_file, capsys, monkeypatch):
         r"s a step, .* in all, after \S+ s of set-up, and 0\.\d+ s for 2 files of fields \(by its first 4\)",
     ):
         assert re.search(pattern, printed), pattern
-    for every, files in ((2, 3), (3, 3), (4, 2)):  # of 4 steps: the start, each of so many, and the end
+    for every, files in ((2, 3), (3, 3), (4, 2)):  # in 4 steps: the start, every so many steps, and the end
         assert ended("check", case_file, "--set", f"output.vtk.every={every}") == 0
         assert f" s for {files} files of fields" in capsys.readouterr().out
     assert list(case_file.parent.iterdir()) == [case_file]

@@ -132,7 +132,7 @@ def test_a_mesh_file_cut_short_is_refused(cut, half, case_file):
     )
     case_file.write_text(text)
     code, _, err = command("check", case_file)
-    # what follows the mesh proper is Netgen's copy of the geometry: without it the mesh may be whole
+    # the mesh proper is followed by Netgen's copy of the geometry: without it the mesh may be whole
     assert (code == DONE and cut > 0.5) or (code == BAD_INPUT and "broken.vol" in err and "domain" in err)
 
 

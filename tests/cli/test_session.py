@@ -43,7 +43,7 @@ def shell(text):
 @pytest.mark.ci
 def test_new_users_session(clone, capsys):
     printed = ""
-    for language, text in session():  # from top to bottom
+    for language, text in session():  # the blocks are run from top to bottom
         if language == "sh":
             printed += "".join(shell(text))
         else:

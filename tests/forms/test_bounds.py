@@ -127,7 +127,7 @@ def test_each_variable_is_held_to_its_own_bound(quantity, variable, mesh):
     assert 0 < bounds.limit() <= len(chosen)
     value = step.now.z_tensors[variable]
     least = bounds.sampler.extrema(value if variable == quantity else Det(value))[0]
-    assert least == pytest.approx(SHARE, rel=1e-6)  # of one, which the means have; no more than needed
+    assert least == pytest.approx(SHARE, rel=1e-6)  # a share of the means, 1: no more is taken than needed
     for name, means in means_of(step).items():
         assert np.abs(means - before[name]).max() <= 1e-13 * np.abs(before[name]).max()
     rho = step.layout.ranges["rho"]

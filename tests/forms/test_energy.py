@@ -57,7 +57,7 @@ def mismatch(step: Step, *, refreshed: bool = True) -> float:
     ("dim", "material", "k", "m"),
     [
         (2, NEO_HOOKEAN, 2, 1),
-        (2, REFERENTIAL, 3, 2),  # of an odd degree without rounding up
+        (2, REFERENTIAL, 3, 2),  # this degree is odd and not rounded up
         (3, NEO_HOOKEAN, 2, 0),
         (3, NEO_HOOKEAN, 2, 1),
     ],

@@ -87,7 +87,7 @@ def test_a_closed_box_keeps_its_energy_and_gains_entropy_in_both_solvers(kind):
         entropy = ledger.column("entropy")
         assert (np.diff(entropy) > 0).all() and (produced(ledger) >= 0).all()
         assert np.diff(entropy) == pytest.approx(dt[1:] * produced(ledger).sum(axis=0), rel=1e-10)
-        assert len(produced(ledger)) == len(names) + numerical + 1  # of conduction
+        assert len(produced(ledger)) == len(names) + numerical + 1  # one more for conduction
         found.append([ledger.column(name)[-1] for name in ("kinetic", "stored", "entropy", *sorted(names))])
     assert found[0] == pytest.approx(found[1], rel=1e-8)
 
@@ -289,7 +289,7 @@ def test_bodies_keep_their_energy_and_gain_entropy_in_both_solvers(kind, other):
     """Viscosity, creep, friction and conduction act, the right half has its own law, and what the limiter
     takes is no heat."""
     _, options, numerical = CLOSED[kind]
-    tolerance = 3e-14 if numerical else 1e-13  # what is lost is in proportion to it
+    tolerance = 3e-14 if numerical else 1e-13  # the loss is in proportion to the tolerance
     pair = ({"c": 3.0, "expansion": 0.1}, {"c": 1.0} | other)
     bodies = bodies_of(pair, heat=nv.Heat(conductivity=lambda theta: 0.1 * theta))
     model = nv.Model(bodies=bodies, heat=nv.Heat(conductivity=0.02, numerical_heating=numerical))
@@ -305,7 +305,7 @@ def test_bodies_keep_their_energy_and_gain_entropy_in_both_solvers(kind, other):
             newton=nv.NewtonOptions(tolerance=tolerance),
         )
         before = run.fields["temperature"]
-        exact = 1e-12 if numerical else 1e-2  # of bodies that share a cell of other pressures
+        exact = 1e-12 if numerical else 1e-2  # bodies that share a cell have other pressures
         assert [before(run.mesh(at, 0.3)) for at in (0.1, 0.9)] == pytest.approx([1.2, 1.2], rel=exact)
         ledger = run.run(0.1)
         dt = ledger.column("dt")

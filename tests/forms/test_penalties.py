@@ -68,5 +68,5 @@ def test_the_diffusion_of_fields_takes_a_jump_by_its_penalty(m):
         found[penalty] = np.array(diffusion.power(diffusion.projected(at)))
     h, compliance = diffusion.step.context.h.vec[0], 1 / (B * gamma * (gamma + 1))
     of_one = math.sqrt(2) * (m + 1) ** 2 / h * compliance * np.diff(slope)[0] ** 2 / 4
-    # of the form and of the ledger
+    # the powers are those of the form and of the ledger
     assert found[8.0] - found[4.0] == pytest.approx(2 * [DELTA * 4 * 2 * of_one], rel=1e-10)

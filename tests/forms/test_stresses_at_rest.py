@@ -16,7 +16,7 @@ AT_REST = 3 * G + EPSILON**2 / (2 * K)
 """Stress of the paper's neo-Hookean material at rest, Pa: 15.0005."""
 PAPER = {state: nv.NeoHookean(K_e=K, G_e=G, epsilon=EPSILON, elastic_state=state) for state in "FB"}
 FREE = {state: nv.ReferentialNeoHookean(K_e=K, G_e=G, elastic_state=state) for state in "FB"}
-GAS = nv.BarotropicFluid(B=1.0, gamma=2.0, rho_R=1.0)  # of 1 Pa at rest
+GAS = nv.BarotropicFluid(B=1.0, gamma=2.0, rho_R=1.0)  # 1 Pa at rest
 
 
 def fluid(at_rest):

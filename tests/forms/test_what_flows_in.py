@@ -607,12 +607,13 @@ def test_a_piston_all_around_a_disc_or_a_ball_widens_it(dim, scheme, solver):
     area = Integrate(CF(1.0), mesh, BND, definedon=region)
     moved, v = run.fields["displacement_wall"], run.fields["velocity"]
     mean = [Integrate(f * n, mesh, BND, definedon=region) / area for f in (moved, v)]
-    wanted = V * (end - dt / 2 if scheme == "backward-euler" else end)  # of a step, or at its end
+    # the velocity is that of the middle of a step, or of its end
+    wanted = V * (end - dt / 2 if scheme == "backward-euler" else end)
     assert mean == pytest.approx([V * end**2 / 2, wanted], rel=1e-3)
     power = ledger.column("dt") * ledger.column("power_wall_wall")
     energy = dim / 2 * dim * (10 + 5 / 3 * (3 - dim)) * (V * end**2 / 2) ** 2
     volume = Integrate(CF(1.0), mesh)
-    lost = ledger.column("bregman")[1:].sum() / volume  # what the scheme dissipates, from the first law
+    lost = ledger.column("bregman")[1:].sum() / volume  # the scheme's dissipation, from the first law
     assert power[1:].sum() / volume - lost == pytest.approx(energy, rel=5e-3)
     assert abs(ledger.column("closure_relative")).max() < 1e-11
     swept = dt * ledger.column("inflow_wall")[1:].sum()
@@ -647,7 +648,7 @@ def test_pistons_on_oblique_walls_have_each_the_power_of_their_own(velocities):
             assert ledger.column(f"power_wall_{name}")[-1] == pytest.approx(V * force / 2, rel=2e-3)
     assert abs(ledger.column("closure_relative")[-1]) < 1e-12
     found = WallReactions(run.rothe_step, ["right"], (0, 0))()["right"][:2]
-    assert np.dot(found, along) == pytest.approx(-force, rel=0.5)  # of the last stage
+    assert np.dot(found, along) == pytest.approx(-force, rel=0.5)  # the force is that of the last stage
     assert abs(np.dot(found, (-along[1], along[0]))) < 1e-3 * force
 
 

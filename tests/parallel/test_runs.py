@@ -171,7 +171,7 @@ def test_ledgers_and_tables_are_those_of_one_process(group, ranks):
         spare = 2 if name == "split bodies" else 1 if "split" in name else 0
         assert_same_ledger(one["rows"], several["rows"], spare)
         assert_same_tables(one["tables"], several["tables"])
-        if name not in own.CASES:  # which take so few that one more is a tenth
+        if name not in own.CASES:  # those cases take so few iterations that one more is a tenth
             assert several["linear"] <= 1.1 * one["linear"], name
         assert name not in ACTS or several["rows"][-1][ACTS[name]] > 0, name
 

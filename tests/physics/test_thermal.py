@@ -54,7 +54,7 @@ def test_energy_gives_the_temperature_pressure_and_heat_capacity_that_are_asked_
     expected = {"expansion": K * 0.01 * 50, "gruneisen": 1.5 * 3.0 * 50 / 1.2}
     assert hot - at_rest == pytest.approx(sum(expected[name] for name in heat), rel=1e-10, abs=1e-9)
     energies = [float(sampled(material.energy(state(material, 1.2, 350.0 + d)))[0]) for d in (1, -1)]
-    assert 1.2 * (energies[0] - energies[1]) / 2 == pytest.approx(3.0, rel=1e-9)  # of a reference volume
+    assert 1.2 * (energies[0] - energies[1]) / 2 == pytest.approx(3.0, rel=1e-9)  # per reference volume
 
 
 def test_an_ideal_gas_has_its_laws():

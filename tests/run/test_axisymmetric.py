@@ -32,7 +32,7 @@ def test_homogeneous_stretch_is_that_of_a_point(solver, elastic_state):
         dt,
         material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state=elastic_state),
         viscosity=nv.StokesViscosity(K_v=K_v, G_v=G_v),
-        loads=[nv.Gravity(CF((a * a * x, b * b * y)))],  # what accelerates it
+        loads=[nv.Gravity(CF((a * a * x, b * b * y)))],  # this field accelerates the body
         velocity=flow,
         walls={"right": nv.Inflow(velocity=flow), "top": nv.Inflow(velocity=flow)},
         passive=["F_tot"],
@@ -54,7 +54,7 @@ def test_homogeneous_stretch_is_that_of_a_point(solver, elastic_state):
     assert abs(stress[2, 2] - stress[0, 0]) <= 1e-9 * abs(stress).max()
     assert abs(stress[1, 1] - stress[0, 0]) >= 0.1 * abs(stress).max()
     strain = np.array([a, b, a]) - div / 3
-    row = ledger.rows[-1]  # of a cylinder of radius and height 1, over 2 pi: its volume is 1/2
+    row = ledger.rows[-1]  # a cylinder of radius and height 1 has the volume 1/2, over 2 pi
     assert row["dissipation_stokes_bulk"] == pytest.approx(0.5 * K_v * div**2, rel=1e-9)
     assert row["dissipation_stokes_shear"] == pytest.approx(0.5 * 2 * G_v * strain @ strain, rel=1e-9)
 

@@ -152,7 +152,7 @@ def test_B_stores_what_F_dissipates_in_the_step():
             lost = by_F.column("bregman").sum()
             assert stored[-1] == pytest.approx(lost, rel=0.1)
             assert by_B.column("bregman").sum() < 0.05 * lost
-    assert stored[0] / stored[1] == pytest.approx(2, rel=0.25)  # of first order in tau
+    assert stored[0] / stored[1] == pytest.approx(2, rel=0.25)  # the order in tau is 1
     assert abs(stored[2]) < 0.02 * stored[0]
 
 
@@ -182,7 +182,7 @@ def test_run_that_winds_up_warns_once_and_ends_by_name_with_the_remedy():
     assert messages[0].startswith(f"at t = {first:.4g} s, most at (")
     ledger = run.ledger
     assert ledger.column("defect_rms")[-1] > 0.02 and ledger.column("defect_max")[-1] > 0.1
-    assert np.abs(ledger.column("closure_relative")).max() <= 1e-10  # which does not see it
+    assert np.abs(ledger.column("closure_relative")).max() <= 1e-10  # the closure does not see the error
 
 
 # --- what has parted ends a run ----------------------------------------------------------------------

@@ -111,7 +111,7 @@ def test_dissipations_are_the_powers_of_their_forms(case: Case) -> None:
         assert sum(entries.values()) == pytest.approx(power(step, term), rel=1e-12)
 
 
-@pytest.mark.filterwarnings("ignore::ngvisco.run.signs.DissipationWarning")  # of random states
+@pytest.mark.filterwarnings("ignore::ngvisco.run.signs.DissipationWarning")  # the states are random
 @by_case
 def test_closure_is_the_residual_tested_by_the_solution(case: Case) -> None:
     """For any state, converged or not, closure = tau <R(u), (v, zeta)>, which is zero for a solution."""

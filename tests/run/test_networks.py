@@ -116,7 +116,7 @@ def test_stresses_and_creep_rates_are_those_of_each_branch_alone():
 
     B = at(run.fields["B_slow"]).reshape(-1, 3, 3)
     N = at(run.fields["N_slow"]).reshape(-1, 3, 3)
-    zeta_B, zeta_N = 1.5 * np.eye(3), 0.5 * np.eye(3)  # of G_e tr B + G_mr tr N
+    zeta_B, zeta_N = 1.5 * np.eye(3), 0.5 * np.eye(3)  # conjugates of G_e tr B + G_mr tr N
     M = 2 * (zeta_B @ B) - 2 * (zeta_N @ N)
     M = M - np.trace(M, axis1=1, axis2=2)[:, None, None] * np.eye(3) / 3
     found = at(run.fields["mandel_stress_slow"]).reshape(-1, 3, 3)
@@ -127,7 +127,7 @@ def test_stresses_and_creep_rates_are_those_of_each_branch_alone():
     spring = at(run.fields["B_spring"]).reshape(-1, 3, 3)
     assert np.abs(spring - B).max() > 0.01  # one relaxes, the other does not
     chains = at(run.fields["B_chains"]).reshape(-1, 3, 3)
-    shear = M + 2 * 1.0 * spring + 2 * 2.0 * chains  # of all branches but for a pressure
+    shear = M + 2 * 1.0 * spring + 2 * 2.0 * chains  # the stress of all branches but for a pressure
     T = at(run.fields["cauchy_stress"]).reshape(-1, 3, 3)
     gap = np.abs((T - shear)[:, ~np.eye(3, dtype=bool)]).max()
     assert gap < 0.01 * np.abs(shear[:, 0, 1]).max()  # conjugates of the chains are projected
@@ -251,7 +251,7 @@ def test_a_network_goes_on_over_meshes_that_follow_a_field():
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
     assert ledger.column("creep_power_min")[1:].min() >= -1e-12
     assert ledger.column("dissipation_creep_chains")[1:].min() > 0
-    assert ledger.column("dissipation_creep_slow")[3] > 0  # of the first step on the new mesh
+    assert ledger.column("dissipation_creep_slow")[3] > 0  # the first step on the new mesh
     before, after = (Integrate(each.fields["plastic_strain_slow"], each.mesh) for each in (start, run))
     assert after > before > 0  # it grows, and is not lost where the mesh changes
 

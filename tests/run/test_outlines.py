@@ -131,7 +131,7 @@ def test_columns_of_a_body_are_those_of_its_shape(m):
     assert found("e_D") == pytest.approx((A - B) / (A + B), abs=0.015)
     assert found("e_angle") == pytest.approx(ANGLE, abs=0.015)
     assert found("e_turning") == pytest.approx(0.7, rel=1e-6)
-    assert 0.5 < found("e_smeared") < 1.0  # of one cell
+    assert 0.5 < found("e_smeared") < 1.0  # a width in cells
 
 
 def test_stress_and_traction_are_those_of_a_known_pressure():
@@ -196,7 +196,7 @@ def test_a_body_that_dissolves_is_warned_of_once():
     with pytest.warns(nv.SmearedWarning, match=r"body 'e' is .* cells wide") as said:
         table._sample(blurred)
         table._sample(blurred)
-    assert len(said) == 1  # not of the rest, whose interface it is too
+    assert len(said) == 1  # no warning names the rest, which has the same interface
 
 
 @pytest.mark.parametrize("slit", [0.1, 0.4])

@@ -268,7 +268,9 @@ def warned(*materials, **options):
         warnings.simplefilter("always")
         nv.Simulation(MESH, nv.Model(bodies=bodies), dt=0.1, **options)
     messages = [str(warning.message) for warning in found if warning.category is nv.InputWarning]
-    return [text for text in messages if "bulk moduli" not in text]  # what is said of these is another matter
+    return [
+        text for text in messages if "bulk moduli" not in text
+    ]  # warnings of bulk moduli are tested elsewhere
 
 
 def test_all_bodies_all_stresses_and_the_remedy_are_named():

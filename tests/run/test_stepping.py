@@ -279,7 +279,7 @@ def test_a_run_stops_within_a_step_and_goes_on_as_if_it_had_not(solver, tmp_path
     assert (run.number, run.t, polls.count(1)) == (1, DT, 3) and run.stop_requested
     again = halving(solver=solver)
     again.restore(tmp_path / "run.h5")
-    for one in (again, run):  # also the run itself
+    for one in (again, run):  # the run itself goes on, too
         one.run(3 * DT)
         assert (one.number, state(one).tobytes()) == (3, state(whole).tobytes())
 

@@ -73,7 +73,7 @@ def with_bodies(maxh=0.4, density=2.0, radius=0.25, reverse=False, observers=())
         nv.Body(name="disc", where=place, material=solid, density=density, viscosity=stokes),
         nv.Body(name="rest", material=solid, density=1.0, viscosity=stokes),
     ]
-    newton = nv.NewtonOptions(tolerance=1e-12)  # what closes to rounding
+    newton = nv.NewtonOptions(tolerance=1e-12)  # with this tolerance the ledger closes to rounding
     return swirling(maxh, bodies=bodies[::-1] if reverse else bodies, observers=observers, newton=newton)
 
 

@@ -72,7 +72,7 @@ def test_polygon_that_is_not_convex_has_its_area_in_either_sense():
     mesh = box((1, 1), maxh=0.1)
     points = ((0.1, 0.1), (0.9, 0.1), (0.9, 0.9), (0.5, 0.3), (0.1, 0.9))
 
-    area = 0.4  # of the square 0.64, less the triangle 0.8 x 0.6/2
+    area = 0.4  # the square has 0.64, less the triangle 0.8 x 0.6/2
     for given in (points, points[::-1]):
         assert volumes(mesh, [Polygon(given)])[0] == pytest.approx(area, rel=1e-3)
 

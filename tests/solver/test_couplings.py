@@ -313,7 +313,7 @@ def test_every_term_of_a_step_is_taken_exactly_once():
     parts = [found.at_points, found.by_forms, *found.of_kernel.values()]
     assert sorted(id(term) for part in parts for term in part) == sorted(map(id, run.rothe_step.terms))
     assert term_obstacle(run.rothe_step) is None
-    # what acts on facets of walls is by forms, all else that has rows of the flow at points
+    # terms on facets of walls are forms; all other terms with rows of the flow are evaluated at points
     assert [type(term).__name__ for term in found.by_forms] == ["TangentialStress"]
 
 

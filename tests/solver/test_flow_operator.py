@@ -93,7 +93,7 @@ def derivative(split, at, dv, rows):
 def test_inertia_convection_and_viscosity(run):
     v = linear(run, lambda x, y: (1 + 2 * y - x, x + 0.5 * y))
     split, at, operator = prepared(run, v)
-    operator.from_fields[:] = 0.0  # what the fields answer is not asked here
+    operator.from_fields[:] = 0.0  # the response of the fields is left out here
     operator.derivative = None
     dv = linear(run, lambda x, y: (y - 0.3, 2 * x))  # div dv would change the density too
     r = split.residual

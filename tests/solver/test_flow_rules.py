@@ -75,7 +75,7 @@ def test_a_rule_of_one_s_own_gives_what_it_says(nu, bodies, solver):
     names = ("B_left", "B_right") if bodies else ("H",)
     found = sum(np.diag(np.array(run.fields[name](run.mesh(0.3, 0.4))).reshape(3, 3)) for name in names)
     expected = implicit_steps(lambda M: 0.02 * (M @ M) * M, np.diff(ledger.column("time")), bodies)
-    # of a trace of matter a body's share of the point is larger by TRACE^2
+    # a trace of matter has a share of the point that is larger by TRACE^2
     assert np.abs(found - expected).max() <= (1e-5 if bodies else 1e-8)
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
     assert ledger.column("dissipation_creep")[1:].min() > 0

@@ -124,7 +124,7 @@ def test_it_ends_where_little_is_left_and_not_later(contraction):
     split, history = Increments(lambda number: 1e-9 * contraction**number), []
     assert iterate(split, Posed(), history) is Status.CONVERGED
     tolerance, margin = split.options.tolerance, split.options.split.margin
-    share = contraction / (1 - contraction)  # of all increments that follow
+    share = contraction / (1 - contraction)  # the sum of all later increments
     left = history[-1].increment * share
     assert left <= margin * tolerance * (1 + 1e-9) and history[-1].increment <= tolerance
     before = history[-2].increment

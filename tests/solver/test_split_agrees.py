@@ -72,7 +72,7 @@ def assert_both_agree(mesh, physics, steps=2, dt=0.02, **options):
     """
     options.setdefault("initial", nv.Initial(velocity=(*SWIRL, CF(0))[: mesh.dim]))
     of_coupled = dict(options)
-    if "newton" in options:  # what is the split solver's alone has no effect there
+    if "newton" in options:  # options of the split solver have no effect on the coupled one
         of_coupled["newton"] = replace(options["newton"], split=SplitOptions())
     runs = [
         nv.Simulation(mesh, physics, dt=dt, solver=name, **of_solver)

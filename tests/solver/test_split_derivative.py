@@ -14,7 +14,7 @@ WALLS = {"top": nv.Traction(f=(1.0, 0.0), friction=0.2)}
 
 LAWS = REGULARISED | {
     "r = 3": nv.Regularisation(delta_density=1e-3, r=3.0),
-    "cut-off": nv.Regularisation(rho_max=0.9, width=0.5),  # which cuts everywhere
+    "cut-off": nv.Regularisation(rho_max=0.9, width=0.5),  # the density is cut off everywhere
 }
 MECHANISMS = {"creep at points": {}, **PARTS, **{name: {"regularisation": law} for name, law in LAWS.items()}}
 

@@ -125,7 +125,7 @@ def test_multigrid_without_petsc_is_refused_by_name(monkeypatch):
     ],
 )
 def test_multigrid_without_effect_is_warned_of(monkeypatch, domain, solver, reason):
-    monkeypatch.setattr(options, "obstacle", lambda method: None)  # also where there is no PETSc
+    monkeypatch.setattr(options, "obstacle", lambda method: None)  # the test also runs without PETSc
     limit = 0 if "walls" in reason else 10_000
     newton = nv.NewtonOptions(coarse="gamg", split=SplitOptions(direct_up_to=(limit, limit)))
     model = nv.Model(material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1))
