@@ -128,8 +128,8 @@ def parser() -> argparse.ArgumentParser:
     plot.add_argument("--section", metavar="PLANE", help=text)
     text = "animate the VTK series instead, as .gif or .mp4 (needs ffmpeg; default DIR/movie.gif)"
     plot.add_argument("--movie", metavar="FILE", nargs="?", const="", help=text)
-    text = "frames a second of the animation (default 10)"
-    plot.add_argument("--fps", type=float, default=10.0, metavar="N", help=text)
+    text = "frames a second of the animation (--movie; default 10)"
+    plot.add_argument("--fps", type=float, metavar="N", help=text)
     text = "the states of the VTK series as one HTML file that opens offline, with time and cuts"
     scene = commands.add_parser("scene", help=text, description=text, parents=[drawn])
     scene.add_argument("directory", metavar="DIR", help="run directory")

@@ -31,11 +31,12 @@ def plot(options: argparse.Namespace) -> int:
             raise ParameterError("--step", options.step, "nothing with --movie, which draws all states")
         place = RunDirectory(run)
         path, title = Path(options.movie or out / "movie.gif"), place.case().sections.title
-        write_movie(
-            place.vtk, path, options.fields, section=section, frames_per_second=options.fps, title=title
-        )
+        fps = 10.0 if options.fps is None else options.fps
+        write_movie(place.vtk, path, options.fields, section=section, frames_per_second=fps, title=title)
         print(path)
         return 0
+    if options.fps is not None:
+        raise ParameterError("--fps", options.fps, "--movie beside it: a picture has no frames")
     results, chosen, lines = _load(run, options)
     require_space(section, results.mesh.dim)  # raise before anything is drawn
     energies, history, states = (
@@ -63,7 +64,7 @@ def _runs(options: argparse.Namespace) -> dict[str, Path]:
 
 
 def _compare(options: argparse.Namespace, runs: dict[str, Path]) -> int:
-    for name in ("movie", "section", "step"):
+    for name in ("movie", "fps", "section", "step"):
         if (value := getattr(options, name)) is not None:
             raise ParameterError(f"--{name}", value, "one run directory; several are compared over time")
     study = len(options.directory) == 1

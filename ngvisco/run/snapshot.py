@@ -93,6 +93,10 @@ def _verify(path: Path, group: h5py.Group, checksum: str) -> None:
         raise CheckpointError(f"{path}: {group.name.lstrip('/')} {flaw}; go on from another copy of the file")
 
 
+_DAMAGES = (OSError, KeyError, RuntimeError, ValueError, TypeError)
+"""Exceptions of h5py, by the kind of damage."""
+
+
 @contextlib.contextmanager
 def opened(path: Path) -> Iterator[h5py.File]:
     """A run's file, opened; raises CheckpointError for a missing or damaged file."""
@@ -103,8 +107,7 @@ def opened(path: Path) -> Iterator[h5py.File]:
             yield file
     except CheckpointError:
         raise
-    # h5py raises one of these, by the kind of damage
-    except (OSError, KeyError, RuntimeError, ValueError, TypeError) as error:
+    except _DAMAGES as error:
         raise CheckpointError(f"{path}: not a readable run file ({error})") from error
 
 
@@ -207,7 +210,23 @@ def _read_checkpoint(path: Path, expected: dict[str, Any], step: int | None) -> 
             error = CheckpointError(f"{path}: no checkpoint of step {step} (there are {steps})")
             error.key = "step"
             raise error
-        return load(path, file["checkpoints"][name])
+        try:
+            return load(path, file["checkpoints"][name])
+        except CheckpointError as error:
+            others = [int(other) for other in names if _is_whole(path, file["checkpoints"][other])]
+            if not others:
+                raise
+            text = f"{error}, or in Python by restore(path, step={others[-1]}), whose checkpoint is whole"
+            raise CheckpointError(text) from error
+
+
+def _is_whole(path: Path, group: h5py.Group) -> bool:
+    """Whether a checkpoint is as it was written."""
+    try:
+        load(path, group)
+    except (CheckpointError, *_DAMAGES):
+        return False
+    return True
 
 
 def read_ledger(path: AnyPath) -> dict[str, np.ndarray]:

@@ -243,6 +243,7 @@ def test_progress_bar_says_why_a_step_was_rejected_and_what_was_limited(capsys):
             "ngvisco: --movie = 'film.avi': expected a name that ends in .gif",
         ),
         (("plot", "RUN", "--movie", "--step", "4"), "ngvisco: --step = 4: expected nothing with --movie"),
+        (("plot", "RUN", "--fps", "5"), "ngvisco: --fps = 5.0: expected --movie beside it"),
         (("plot", "RUN", "-o", ""), "-o/--output: '': empty; give a directory"),
         (
             ("gradient", "CASE", "--by", "material.G_e", "--of", "kinetic at 9"),

@@ -184,6 +184,20 @@ def test_a_damaged_or_foreign_checkpoint_is_refused_with_the_reason(damage, half
     assert path.read_bytes() == before
 
 
+def test_a_damaged_checkpoint_names_the_one_before_from_which_a_run_goes_on(half):
+    path = half / "run.h5"
+    with h5py.File(path, "a") as file:
+        first, last = sorted(file["checkpoints"])
+        file[f"checkpoints/{last}/state"][0] += 1.0
+    code, _, err = command("resume", half, "--until", 0.08)
+    assert code == BAD_FILE and f"checkpoints/{last} is damaged" in err
+    assert f"restore(path, step={int(first)})" in err
+    with h5py.File(path, "a") as file:
+        file[f"checkpoints/{first}/state"][0] += 1.0
+    code, _, err = command("resume", half, "--until", 0.08)
+    assert code == BAD_FILE and "is damaged" in err and "restore" not in err
+
+
 def test_only_the_checksummed_is_read_of_a_run_file_without_parts(half):
     for group in ("checkpoints", "ledger/kinetic"):
         path = half / "run.h5"

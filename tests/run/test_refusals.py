@@ -230,6 +230,7 @@ OF_PLACES = """\
 box(_, 0.5) | (1e200, 1), | box.size | two or three lengths, each a length between
 box(_, 0.5) | 1.0, "ab" | box.size | two or three
 box((1, 1), 0.5, periodic=_) | "z" | box.periodic | some of x, y
+box((1, 1), 0.5, periodic=_) | ["x", "x"] | box.periodic | some of x, y, each once
 disc(_, 0.5) | -1 | disc.radius | a finite number > 0
 disc(_, 1e-7) | 1e-6 | disc.radius | take a smaller unit of length
 disc(1, 0.5, order=_) | 11, 2.5 | disc.order | an integer from 1 to 10
