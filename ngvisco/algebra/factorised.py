@@ -219,8 +219,10 @@ def _drop_small(matrix: sp.csr_matrix, diagonal: np.ndarray) -> None:
 
 def largest_eigenvalue(matrix: sp.csr_matrix) -> float:
     """Largest eigenvalue of D^{-1} (A + A^T)/2 with the diagonal D of A, to a few per cent and not far below
-    the true value."""
-    scale = sp.diags(1 / np.sqrt(abs(matrix.diagonal())))
+    the true value.  Rows of zeros count as eigenvalues of zero: a rank may share an unknown that none of its
+    cells has."""
+    diagonal = abs(matrix.diagonal())
+    scale = sp.diags(np.where(diagonal > 0, 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 0.0))
     scaled = scale @ (0.5 * (matrix + matrix.T)) @ scale
     if scaled.shape[0] < MANY:
         return float(np.linalg.eigvalsh(scaled.toarray()).max(initial=1.0))

@@ -75,9 +75,9 @@ def regularised(
 
 
 def crowded(solver: str) -> nv.Simulation:
-    """A jump of the density near the cut-off's largest density, beyond which the density is limited."""
+    """A jump of the density, up to 1.247 at the start, whose fifth step is limited to the cut-off's 1.25."""
     law = nv.Regularisation(delta_density=1e-4, delta_fields=1e-4, rho_max=1.0, width=0.25)
-    return regularised(solver, 2, law, 0.25, density=1 + 0.2 * IfPos(x - 0.5, 1, 0))
+    return regularised(solver, 2, law, 0.25, density=1 + 0.158 * IfPos(x - 0.5, 1, 0))
 
 
 def lid(solver: str = "coupled", maxh: float = 0.3) -> nv.Simulation:
@@ -395,7 +395,12 @@ CASES |= {
     "split, all regularisations": lambda: creep("split", passive=NAMES),
 }
 CASES |= OF_DENSITY | AT_REST | walls.CASES | own.CASES
-STEPS = {**dict.fromkeys(AT_REST, 1), "limited": 9, **dict.fromkeys(OF_DENSITY, 2)} | walls.STEPS
+STEPS = {
+    **dict.fromkeys(AT_REST, 1),
+    "limited": 9,
+    "split crowded": 5,
+    **dict.fromkeys(OF_DENSITY, 2),
+} | walls.STEPS
 """Numbers of steps of cases that do not take three."""
 
 LINEAR: list[int] = []

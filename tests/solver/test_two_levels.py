@@ -32,6 +32,8 @@ def test_one_cell_s_eigenvalue_is_found_among_many(size):
     exact = np.linalg.eigvalsh(A.toarray() / np.outer(D, D)).max()
     assert exact > 3.7
     assert largest_eigenvalue(A) == pytest.approx(exact, rel=0.03)
+    with_zeros = sp.block_diag([A, sp.csr_matrix((3, 3))]).tocsr()
+    assert largest_eigenvalue(with_zeros) == pytest.approx(exact, rel=0.03)
 
 
 def test_sweeps_leave_what_a_polynomial_of_chebyshev_leaves():
