@@ -49,6 +49,7 @@ def test_what_is_missing_is_said(capsys, monkeypatch):
 
 
 def test_info_is_of_a_directory_or_of_the_installation(capsys, tmp_path):
-    for words in ([], [str(tmp_path), "--parallel"]):
+    expected = {(): "a run directory, or --parallel", (str(tmp_path), "--parallel"): "none beside --parallel"}
+    for words, message in expected.items():
         assert main(["info", *words]) == 2
-        assert "a run directory" in capsys.readouterr().err
+        assert message in capsys.readouterr().err
