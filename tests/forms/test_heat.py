@@ -222,7 +222,7 @@ def test_a_mechanism_that_takes_entropy_away_is_warned_of_by_name():
     feeding = pytest.warns(nv.DissipationWarning, match=r"dissipation_feeding gives energy")
     with feeding, pytest.warns(EntropyWarning, match=r"entropy_production_feeding is -.* a law gives energy"):
         ledger = run_of("coupled", laws={"viscosity": VISCOSITY}, terms=[Feeding()]).ledger
-    assert abs(ledger.column("closure_relative")).max() <= 1e-10  # it closes: nothing else would tell
+    assert abs(ledger.column("closure_relative")).max() <= 1e-10  # the ledger alone does not show the fault
 
 
 def test_what_the_diffusion_of_fields_dissipates_is_heat_in_the_coupled_solver():

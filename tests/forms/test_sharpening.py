@@ -407,8 +407,8 @@ def test_steps_that_carry_an_interface_too_far_are_named_once(dt, times):
 
 
 def test_cells_that_a_step_passes_stay_as_they_are():
-    """A strip higher than its cell began in another cell, whose plane the cell does not know. Matter that is
-    carried on by it gathered in the small cells at a lid's end."""
+    """A strip higher than its cell began in another cell, whose plane the cell does not know. When
+    such strips carried matter, the matter gathered in the small cells at a lid's end."""
     _, bounds = smeared()
     by, tau = bounds.sharpening, 0.05
     height = (

@@ -54,8 +54,8 @@ def test_means_are_exact_to_the_tolerance(name):
 
 @pytest.mark.parametrize("tilt", [-0.2, 0.5])
 def test_a_tilted_mean_of_what_is_linear_in_time_is_its_value(tilt):
-    """The mean of a pulse is the weight in the pulse: 1 + 12 tilt (0.35 - 0.5), in the mean a tenth at
-    0.35."""
+    """The mean of a pulse is its share of the step, a tenth, times the weight at its place, 1 + 12 tilt
+    (0.35 - 0.5)."""
     found = []
     for value in (3 * T - 0.1, nv.pulse(0.03, 0.01)):
         function, average = mean_in_cells(CF(value), MESH, 6)

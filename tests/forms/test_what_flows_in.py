@@ -45,7 +45,7 @@ def test_bodies_are_carried_through_a_window_and_keep_their_masses():
         ledger = run.run(0.12)
         assert_balanced(ledger)
         disc, medium = (table.column(f"{name}_mass") for name in ("disc", "medium"))
-        assert abs(disc / disc[0] - 1).max() < 1e-6  # it is far from the walls
+        assert abs(disc / disc[0] - 1).max() < 1e-6  # the disc is far from the walls
         came = 0.02 * sum(ledger.column(f"inflow_{wall}") for wall in ("left", "right")).cumsum()
         assert came[-1] > 0.005  # a body on springs holds back
         assert np.allclose(disc + medium - disc[0] - medium[0], came, atol=1e-12)
@@ -141,7 +141,7 @@ def test_a_stressed_body_goes_on_through_windows_as_it_is(state, solver):
     assert abs(ledger.column("closure_relative")).max() < 1e-12
     change = run.fields["velocity"] - CF((0.3, 0.1))
     assert Integrate(change * change, mesh) ** 0.5 < 1e-9
-    assert ledger.column("power_stored_left")[-1] > 0.01  # it carries its energy through
+    assert ledger.column("power_stored_left")[-1] > 0.01  # the bar carries its energy through the window
     assert abs(ledger.column("mass") - 1.3 * 0.7).max() < 1e-10
 
 
@@ -176,8 +176,8 @@ GIVEN = {
 def test_stresses_that_differ_are_warned_of_in_slow_straining_too(given, recwarn):
     """A strained bar moves through its windows.
 
-    Where it meets entering matter at rest, 0.2 % of all powers are lost, half of the strain of 0.4 %, but
-    the difference of the stresses is the whole stress. A run may have a difference of 5 %.
+    Where the bar meets entering matter at rest, the share of powers that is lost is half of the strain,
+    0.2 %. But the difference of the stresses is the bar's whole stress. A run may have a difference of 5 %.
     """
     walls = {
         "left": nv.Inflow(velocity=(0.11, 0.0), **GIVEN[given]),
@@ -199,7 +199,7 @@ def test_stresses_that_differ_are_warned_of_in_slow_straining_too(given, recwarn
         t, difference, size = map(float, re.search(pattern, str(warned[0].message)).groups())
         assert t == pytest.approx(2.0)  # a fifth of the mass is in after 1.8 s
         bar = 2 * 5.0 * (2 / 3) ** 0.5 * 4e-3
-        assert 0.75 * bar < difference < 1.02 * bar  # it grows to the bar's within the inlet's cell
+        assert 0.75 * bar < difference < 1.02 * bar  # the whole stress, within the inlet's cell
         assert difference == pytest.approx(size, rel=0.02)
         powers = [n for n in ledger.columns if n.startswith(("power_", "dissipation_")) and "stored" not in n]
         worked = sum(abs(ledger.column(name)) for name in powers)

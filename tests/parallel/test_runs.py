@@ -524,7 +524,7 @@ def test_a_run_that_fails_says_what_it_says_on_one_process(tmp_path):
     other = read_frame(several / "failed.pvtu").fields
     assert one["out_of_bounds"].sum() == other["out_of_bounds"].sum() > 0
     assert other["F"].min() == pytest.approx(one["F"].min(), rel=1e-10)
-    # the next attempt takes them away
+    # the next attempt removes the reports of the failure
     assert ngvisco("resume", several, "--until", "0.2", "--quiet").returncode == 0
     assert not list(several.glob("failed*"))
 

@@ -136,7 +136,7 @@ def test_failures_say_what_is_wrong() -> None:
     assert "no minima" in response.failure and "not convex" in response.failure
     assert np.isnan(response.energy).all()
     one = approximation(material, 0.01, np.array([[1.2]]), 2)
-    assert np.isfinite(one.energy).all()  # |z|^2/(2 eps) makes it convex
+    assert np.isfinite(one.energy).all()  # |z|^2/(2 eps) makes the sum convex
     bounded = EXAMPLES['BarotropicFluid(form="A")']  # A^gamma is finite at 0 and ends there
     response = respond(nv.Yosida(material=bounded, eps=1.0), 2)(np.array([[-1.0], [1.0]]))
     assert response.failure is not None and "no minimiser at 1 points" in response.failure

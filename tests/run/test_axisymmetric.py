@@ -160,7 +160,7 @@ def test_translation_along_the_axis_leaves_a_strained_body_as_it_is():
     first, last = run.ledger.rows[0], run.ledger.rows[-1]
     assert first["momentum_2"] == pytest.approx(0.025, rel=1e-9)
     assert abs(last["momentum_2"] - first["momentum_2"]) <= 1e-9 * last["momentum_size"]
-    assert last["momentum_size"] >= 1.02 * last["momentum_2"]  # it moves in itself
+    assert last["momentum_size"] >= 1.02 * last["momentum_2"]  # parts of the body move in opposite directions
 
 
 @pytest.mark.parametrize(

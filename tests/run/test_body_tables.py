@@ -87,7 +87,7 @@ def test_disc_starts_where_it_is_put(whole):
     assert table.column("disc_y")[0] == pytest.approx(0.5, abs=0.01)
     for end, exact in (("x_min", 0.4), ("x_max", 0.8), ("y_min", 0.3), ("y_max", 0.7)):
         assert table.column(f"disc_{end}")[0] == pytest.approx(exact, abs=0.07)  # cells have 0.25 m
-    assert table.column("disc_y")[-1] < 0.5 - 1e-4  # it is the heavier one
+    assert table.column("disc_y")[-1] < 0.5 - 1e-4  # the disc is the heavier body
 
 
 def test_mass_of_each_body_is_constant_and_volumes_fill_the_domain(whole):

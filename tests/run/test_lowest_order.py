@@ -31,7 +31,7 @@ def wave(cells: tuple[int, int], amplitude: float, steps: int, **options) -> nv.
 
 
 def phase(cells: tuple[int, int], steps: int) -> float:
-    """The share of its first velocity it is not at rest after a quarter of a period: an angle."""
+    """The error of the wave's phase, an angle, after a quarter of a period, when the velocity should be 0."""
     run, w = wave(cells, 1e-4, steps), sine(math.pi * x / LENGTH)
     integrate = run.rothe_step.quadrature.integrate_cells
     before = integrate(run.fields["velocity"][0] * w)

@@ -253,7 +253,7 @@ def test_a_network_goes_on_over_meshes_that_follow_a_field():
     assert ledger.column("dissipation_creep_chains")[1:].min() > 0
     assert ledger.column("dissipation_creep_slow")[3] > 0  # the first step on the new mesh
     before, after = (Integrate(each.fields["plastic_strain_slow"], each.mesh) for each in (start, run))
-    assert after > before > 0  # it grows, and is not lost where the mesh changes
+    assert after > before > 0  # the strain grows, and is kept by a change of the mesh
 
 
 @pytest.mark.parametrize("name", WRONG)

@@ -189,7 +189,7 @@ def test_a_body_that_dissolves_is_warned_of_once():
     step = blurred.rothe_step
     z = step.state.vec.FV().NumPy()[step.layout.ranges["z"]].reshape(step.layout.states.size, step.mesh.ne, 3)
     amounts = z[[step.layout.states.slices[name].start for name in ("n_e", "n_rest")]]
-    shares = np.full((2, step.mesh.ne), 0.5)  # half of each in all cells but one
+    shares = np.full((2, step.mesh.ne), 0.5)  # all cells but one have half of each body
     shares[:, 0] = 1, 0
     amounts[:, :, 0], amounts[:, :, 1:] = shares, 0
     z[[step.layout.states.slices[name].start for name in ("n_e", "n_rest")]] = amounts

@@ -75,7 +75,7 @@ def assert_no_flux(run):
     assert Integrate((v * n) ** 2, run.mesh, BND, definedon=run.mesh.Boundaries(plane)) < 1e-28
     fillet = run.mesh.Boundaries("fillet")
     speed = Integrate(v * v, run.mesh, BND, definedon=fillet)
-    assert speed > 1e-4  # it slips along the fillets
+    assert speed > 1e-4  # the body slips along the fillets
     assert Integrate((v * n) ** 2, run.mesh, BND, definedon=fillet) < 0.05 * speed
 
 

@@ -171,7 +171,7 @@ def test_picture_is_a_shape_where_it_is_dark(tmp_path):
     bright = Image(path, (0, 0), (1, 1), dark=False)
     assert volumes(mesh, [bright])[0] == pytest.approx(1 - 0.04 * pi, rel=0.01)
     assert volumes(mesh, [Image(path, (0, 0), (2, 1))])[0] == pytest.approx(0.08 * pi, rel=0.01)
-    moved = Image(path, low=(0.8, 0), high=(1.8, 1))  # its middle is at x = 1.3
+    moved = Image(path, low=(0.8, 0), high=(1.8, 1))  # the picture's middle is at x = 1.3
     for low, share in ((1.3, 0.5), (1.15, 0.5 + (np.arcsin(0.75) + 0.75 * (1 - 0.75**2) ** 0.5) / pi)):
         part = moved & Block((low, 0), (2, 1))
         assert volumes(mesh, [part])[0] == pytest.approx(share * 0.04 * pi, rel=0.02)

@@ -123,7 +123,7 @@ def test_the_resolvent_by_its_series_is_the_inverse(run, strain, monkeypatch):
     _, at, operator = prepared(run, strain * linear(run, lambda x, y: (x + 2 * y, -y)), 0.01)
     points = operator.points
     dz = np.random.default_rng(5).standard_normal((points.op.z.width, points.components))
-    stored, points._stores = points.resolved(dz), False  # as on a mesh of several parts
+    stored, points._stores = points.resolved(dz), False  # a mesh of several parts stores no resolvents
     operator.update(at)
     assert 0 < points._kept[0][0] <= 14 and points._kept[0][1] is None
     by_series, inverses, series = points.resolved(dz), [], []

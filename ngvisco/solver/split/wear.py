@@ -1,4 +1,4 @@
-"""Counts the directions of GMRES that an ageing tangent costs, to find when a new one pays for itself.
+"""Counts the directions of GMRES that an ageing tangent costs, and says when a new one saves time.
 
 An increment with an old tangent takes more directions than the first increment did. The tangent is renewed
 when the sum of these further directions exceeds the cost of a renewal, so that a run spends at most twice
