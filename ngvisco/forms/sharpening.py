@@ -138,9 +138,8 @@ class Sharpening:
         is_round = step.layout.symmetry.is_axisymmetric
         self._radii = np.maximum(self._x[:, :, 0], 0.0) if is_round else None  # weights of volumes at corners
         slopes = np.swapaxes(np.linalg.inv(edges), 1, 2)
-        self._slopes = np.concatenate(
-            [-slopes.sum(axis=1, keepdims=True), slopes], axis=1
-        )  # gradients of lambda
+        # gradients of lambda
+        self._slopes = np.concatenate([-slopes.sum(axis=1, keepdims=True), slopes], axis=1)
         self.swept, self._is_said = 0.0, False
         """Height of the longest strip of the last step, in heights of its cell."""
 

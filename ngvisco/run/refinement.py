@@ -253,9 +253,8 @@ class _First:
             return None
         if self._order == 1:
             return mesh_image(mesh)
-        mesh.Curve(
-            1
-        )  # Netgen writes curved edges by edge numbers, which a mesh has only after it was read from a file
+        # Netgen writes curved edges by edge numbers, which a mesh has only after it was read from a file
+        mesh.Curve(1)
         curved = mesh_of(mesh_image(mesh))
         curved.Curve(self._order)
         return mesh_image(curved)

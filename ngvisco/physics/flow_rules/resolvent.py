@@ -46,9 +46,8 @@ def resolved(
         length = abs(newton - s)
         # Newton's steps on an exponential have one length; the bracket is then halved
         accepted = (newton >= low) & (newton <= high) & (length <= 0.5 * moved)
-        middle = np.where(
-            high < np.inf, 0.5 * (low + high), 2 * s
-        )  # a rate that gives energy has no upper end
+        # a rate that gives energy has no upper end
+        middle = np.where(high < np.inf, 0.5 * (low + high), 2 * s)
         s, moved = np.where(done, s, np.where(accepted, newton, middle)), np.where(accepted, length, np.inf)
         done |= accepted & (length <= _LAST * size)
         if done.all():
