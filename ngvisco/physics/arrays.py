@@ -41,7 +41,7 @@ _ONE = np.ones(1)
 class _Node:
     """The common base of arrays and linear forms: linear maps of entries, each with its transpose.
 
-    It is no abstract class of Python: ``isinstance`` would take ten times as long."""
+    It is no abstract class of Python: ``isinstance`` would take five times as long."""
 
     __slots__ = ()
     __array_ufunc__ = None  # numpy's numbers leave the operation to these classes
