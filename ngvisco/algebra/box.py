@@ -10,14 +10,16 @@ from ngvisco.errors import StepError
 
 _MOST, _HALVINGS = 200, 40
 _DECREASE = 1e-4
-"""Fraction of the decrease predicted by the slope that a step has to reach (Armijo)."""
+"""Least decrease of the function in a step, as a fraction of the decrease that the slope predicts
+(Armijo)."""
 _CONVERGED = 1e-13
 """Size of a Newton step, relative to the solution, below which the iteration ends."""
 
 
 @dataclass(frozen=True)
 class Minimum:
-    """A minimum and the slope there, which is zero to rounding except where a bound is active."""
+    """A minimum ``x`` and the function's slope at x, which is zero to rounding except where a bound is
+    active."""
 
     x: np.ndarray
     slope: np.ndarray
@@ -30,8 +32,8 @@ def minimise_in_box(
 
     ``drag`` has two arrays, for x_i > 0 and for x_i < 0.  Each step is a Newton step in the unknowns without
     an active bound, clipped to the box and halved until the function decreases (Bertsekas, SIAM J. Control
-    Optim. 20, 1982).  Raises StepError if the function does not decrease, because it is not convex.  A saddle
-    point that the steps approach is not distinguished from a minimum.
+    Optim. 20, 1982).  Raises StepError if the iteration fails, for instance because the function is not
+    convex.  The iteration may also end at a saddle point.
     """
     rising, falling = drag
     x = np.zeros(len(f))

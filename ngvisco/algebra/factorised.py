@@ -13,7 +13,7 @@ from ngvisco.parallel.exchange import Exchange, Owned
 from ngvisco.parallel.petsc import SumInverse
 
 MANY = 100
-"""Number of unknowns from which on an eigenvalue is computed by iteration."""
+"""Least number of unknowns for which an eigenvalue is computed by iteration."""
 
 _NEAR_SYMMETRIC: dict[str, Any] = {
     "permc_spec": "MMD_AT_PLUS_A",
@@ -23,12 +23,12 @@ _NEAR_SYMMETRIC: dict[str, Any] = {
 """Options of SuperLU for matrices with a symmetric pattern."""
 
 _ENOUGH = 1e-3
-"""Largest relative residual, for a random right-hand side, with which factors in single precision are
-accepted."""
+"""Factors in single precision are accepted if the relative residual for a random right-hand side is not above
+this bound."""
 
 DROPPED = 3e-2
-"""Fraction of the diagonal below which sweeps omit entries; these are four fifths of all entries, and GMRES
-takes no more iterations."""
+"""Sweeps omit entries below this fraction of the diagonal.  They omit four fifths of all entries, and GMRES
+takes no more iterations than with all entries."""
 
 SWEEPS, SMOOTHED = 3, 8.0
 """Degree of the Chebyshev polynomial that smooths before and after the coarse problem, and the ratio of the
@@ -39,7 +39,7 @@ class Direct(Protocol):
     """A solver for some unknowns of a matrix, which sets the other unknowns to 0."""
 
     def factorise(self, matrix: sp.csr_matrix) -> None:
-        """Factorise a matrix.  Raises StepError if it is singular."""
+        """Factorise a matrix.  Raises StepError if the matrix is singular."""
 
     def __call__(self, r: np.ndarray) -> np.ndarray: ...
 
@@ -47,7 +47,7 @@ class Direct(Protocol):
         """Free the last factorisation's memory; collective over ranks."""
 
     def release(self) -> None:
-        """Free the memory; collective over ranks."""
+        """Free the solver's memory; collective over ranks."""
 
 
 Factorising = Callable[[np.ndarray, sp.csr_matrix, bool], Direct]
@@ -57,8 +57,8 @@ Factorising = Callable[[np.ndarray, sp.csr_matrix, bool], Direct]
 class DirectSolver:
     """A direct solver in the free unknowns of a mask; other unknowns are set to 0.
 
-    With ``symmetric`` the matrix's symmetric part is taken.  With ``approximate`` factors in single precision
-    suffice, if accurate enough: half of the time and the memory.
+    If ``symmetric``, the solver takes the matrix's symmetric part.  If ``approximate``, the solver uses
+    factors in single precision where they are accurate enough; they take half of the time and the memory.
     """
 
     def __init__(self, free: np.ndarray, symmetric: bool = False, approximate: bool = False) -> None:
@@ -93,8 +93,8 @@ class DirectSolver:
 
 
 def _in_single(matrix: sp.csr_matrix) -> Callable[[np.ndarray], np.ndarray] | None:
-    """Factorise in single precision, scaled by the diagonal.  Return a solver, or None if it is not accurate
-    enough."""
+    """Factorise in single precision, scaled by the diagonal.  Return a solver, or None if the factors are not
+    accurate enough."""
     diagonal = abs(matrix.diagonal())
     unit = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     scaled = (sp.diags(unit) @ matrix @ sp.diags(unit)).tocsc()
@@ -114,10 +114,12 @@ def _in_single(matrix: sp.csr_matrix) -> Callable[[np.ndarray], np.ndarray] | No
 
 
 def direct_solver(free: np.ndarray, exchange: Owned, symmetric: bool = False) -> DirectSolver | SumInverse:
-    """A direct solver: SuperLU on one process, PETSc over ranks, for matrices in parts.
+    """A direct solver: SuperLU on one process, PETSc over ranks.
 
-    With ``symmetric`` it serves as a preconditioner: on one process factors in single precision suffice if
-    they are accurate enough.
+    Over ranks the matrix is the sum of the ranks' parts.
+
+    If ``symmetric``, the solver takes the matrix's symmetric part and serves as a preconditioner; on one
+    process it then uses factors in single precision where they are accurate enough.
     """
     if exchange.is_distributed:
         return SumInverse(free, exchange, symmetric)
@@ -127,15 +129,17 @@ def direct_solver(free: np.ndarray, exchange: Owned, symmetric: bool = False) ->
 class TwoLevelSolver:
     """An approximate inverse for large meshes, which solves for vertices and smooths all other functions.
 
-    NGSolve's functions of degree two and more vanish at vertices, so that the coefficients of vertices
-    belong to P_1 functions.  Their block is the coarse problem, which is factorised.  Functions of edges and
-    faces make well-conditioned blocks with inertia and with viscosity (the hierarchical splitting); sweeps by
-    Chebyshev's polynomial smooth them before and after.  Unknowns beside the velocity (stresses of walls,
-    creep rates) belong to the coarse problem, together with the velocities coupled to them.  Iterations grow
-    if the fourth-order term dominates at the mesh's scale.
+    NGSolve's functions of degree two and more vanish at vertices, so that the coefficients of vertices belong
+    to P_1 functions.  The block of the vertices is the coarse problem, which is factorised.  The block of the
+    functions of edges and faces is well-conditioned, both with inertia and with viscosity (the hierarchical
+    splitting).  Sweeps by Chebyshev's polynomial smooth these functions before and after the coarse problem.
+    The coarse problem also has the unknowns other than velocities (stresses of walls, creep rates), and the
+    velocities coupled to these unknowns.  GMRES takes more iterations if the fourth-order term dominates at
+    the mesh's scale.
 
-    Masks select the unknowns that are ``free``, velocities at ``vertices``, and unknowns beside velocities.
-    ``factorised`` makes the solver of the coarse problem.  Over ranks matrices are in parts.
+    ``free``, ``vertices`` and ``beside_velocity`` are masks of the free unknowns, of the velocities at
+    vertices, and of the unknowns other than velocities.  ``factorised`` makes the solver of the coarse
+    problem.  Over ranks a matrix is the sum of the ranks' parts.
     """
 
     def __init__(
@@ -171,7 +175,7 @@ class TwoLevelSolver:
         del rows
         _drop_small(among_fine, diagonal[fine])
         self._among_fine = among_fine.astype(precision.SINGLE, copy=False)
-        # a sum of matrices, scaled by its diagonal, has no larger eigenvalue than its scaled parts
+        # scaled by their diagonals, a sum of matrices has no larger eigenvalue than its parts
         largest = exchange.communicator.most(largest_eigenvalue(among_fine))
         middle = 0.5 * largest * (1 + 1 / SMOOTHED)
         self._smoother = (1 / (middle * diagonal[fine])).astype(precision.SINGLE)
@@ -197,9 +201,9 @@ class TwoLevelSolver:
     release = forget
 
     def _smoothed(self, r: np.ndarray) -> np.ndarray:
-        """Result of the sweeps from zero for the fine functions' residual ``r``."""
+        """Correction of the fine functions for their residual ``r``, by sweeps that start at zero."""
         x = step = self._smoother * r
-        ratio = half = (SMOOTHED - 1) / (SMOOTHED + 1)  # half of the interval's length over its middle
+        ratio = half = (SMOOTHED - 1) / (SMOOTHED + 1)  # half of the eigenvalues' interval over its middle
         for _ in range(SWEEPS - 1):
             last, ratio = ratio, 1 / (2 / half - ratio)
             remaining = r - self._of_fine.sum(self._among_fine @ x)
@@ -218,9 +222,10 @@ def _drop_small(matrix: sp.csr_matrix, diagonal: np.ndarray) -> None:
 
 
 def largest_eigenvalue(matrix: sp.csr_matrix) -> float:
-    """Largest eigenvalue of D^{-1} (A + A^T)/2 with the diagonal D of A, to a few per cent and not far below
-    the true value.  Rows of zeros count as eigenvalues of zero: a rank may share an unknown that none of its
-    cells has."""
+    """Largest eigenvalue of D^{-1} (A + A^T)/2, where D is the diagonal of A, to a few per cent.
+
+    A row of zeros counts as an eigenvalue of zero: a rank may share an unknown that none of its cells has.
+    """
     diagonal = abs(matrix.diagonal())
     scale = sp.diags(np.where(diagonal > 0, 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 0.0))
     scaled = scale @ (0.5 * (matrix + matrix.T)) @ scale

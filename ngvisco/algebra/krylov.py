@@ -10,10 +10,12 @@ Products = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Inner products of n vectors, (n, unknowns), with one vector, as an array (n,)."""
 
 _BREAKDOWN = 1e-14
-"""Orthogonal component, relative to the length, below which a new direction is rounding."""
+"""A new direction is rounding if its orthogonal component, relative to its length, is not above this
+bound."""
 
 _ORTHOGONAL = 0.5
-"""Orthogonal component, relative to the length, above which Gram-Schmidt is not repeated."""
+"""Gram-Schmidt is not repeated if a direction's orthogonal component, relative to its length, is above this
+bound."""
 
 
 def gmres(
@@ -21,10 +23,10 @@ def gmres(
 ) -> tuple[np.ndarray, int]:
     """Solve |right - operator(x)| <= ``rtol`` |right| by GMRES.  Return x and the number of directions.
 
-    If ``directions`` do not suffice, x has the least residual in their span.  The classical Gram-Schmidt
-    method makes a direction orthogonal, and is repeated if it leaves little: one or two reductions over ranks
-    for each direction.  (SciPy's GMRES has no reductions.)  x is NaN if the right-hand side or a product is
-    not finite.
+    At most ``directions`` directions are made, and x has the least residual in their span.  The classical
+    Gram-Schmidt method makes each direction orthogonal to the earlier ones.  The method is repeated if the
+    remainder is small, so that a direction takes one or two reductions over ranks.  SciPy's GMRES cannot add
+    up products over ranks.  The values of x are NaN if the right-hand side or a product is not finite.
     """
     size = float(np.sqrt(products(right[None], right)[0]))
     if size == 0:
@@ -52,7 +54,7 @@ def gmres(
                 break
         hessenberg[: k + 1, k] = column
         hessenberg[k + 1, k] = orthogonal
-        last = float(column[0])  # the rotations of the earlier columns act on it
+        last = float(column[0])  # rotations of earlier columns act on the new column
         for (cosine, sine), value in zip(rotations, column[1:].tolist(), strict=True):
             last = cosine * value - sine * last
         turned = math.hypot(last, orthogonal)

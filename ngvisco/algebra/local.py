@@ -1,12 +1,12 @@
 """Sparse matrices that act cell by cell, stored as dense blocks.
 
-Rows are values, for instance at points, with an equal number in each cell; a row has unknowns of its own cell
-only.  The product for all components of a field is one small dense product in each cell, which is many times
-faster than a sparse product for each component.
+Each row gives a value, for instance at a point; all cells have equally many rows.  The unknowns of a row
+belong to the row's cell.  The product for all components of a field is one small dense product in each cell,
+which is many times faster than a sparse product for each component.
 
-On straight cells functions are polynomials, so that their values at all points of a rule follow from the
-values at a few points, the nodes, by one matrix for all cells.  Only the blocks of the nodes are stored, once
-for all rules whose values follow from them.
+On straight cells functions are polynomials.  Values at all points of a rule then follow from the values at a
+few points, the nodes, by one matrix for all cells.  Only the blocks of the nodes are stored, once for all
+rules whose values follow from the same nodes.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ import scipy.linalg as la
 import scipy.sparse as sp
 
 SAMPLE, NEGLIGIBLE = 100, 1e-12
-"""Number of cells whose rows are searched for nodes, and the relative size of rounding."""
+"""Number of cells whose rows are searched for nodes, and the largest relative error that counts as
+rounding."""
 
 
 class Functions(NamedTuple):
@@ -70,10 +71,10 @@ class LocalMatrix:
     ) -> None:
         """Split a matrix by cells.
 
-        ``weights``, (rows,), of a quadrature rule multiply rows in tests.  ``pieces`` is the number of equal
-        parts of a cell's rows, its sides, each with nodes at the same places; by default all rows are nodes.
-        ``other`` has the same functions at the points of another rule; the nodes of ``other`` are shared if
-        they suffice.
+        ``weights``, (rows,), are the weights of a quadrature rule, by which ``test`` and ``loads`` multiply.
+        ``pieces`` is the number of equal parts of a cell's rows (the cell's sides).  All parts have nodes at
+        the same places; by default all rows are nodes.  ``other`` has the same functions at the points of
+        another rule; the nodes of ``other`` are used here too if all rows follow from them.
         """
         self.cells, self.weights, self.pieces = cells, weights, pieces
         self.height, self.width = matrix.shape
@@ -110,7 +111,8 @@ class LocalMatrix:
         """Number of the first cell of this part."""
 
     def part(self, cells: slice) -> LocalMatrix:
-        """Rows of some cells as a view.  A part computes ``loads``; only the whole matrix sums them up."""
+        """Rows of some cells as a view.  A part computes ``loads``; only the whole matrix adds them up
+        (``summed``)."""
         part, rows = copy(self), slice(self.per_cell * cells.start, self.per_cell * cells.stop)
         part.__dict__.pop("scatter", None)
         part.unknowns, part.nodal, part._first = self.unknowns[cells], self.nodal[cells], cells.start
@@ -120,7 +122,7 @@ class LocalMatrix:
 
     @property
     def is_constant(self) -> bool:
-        """Whether all rows of a cell are equal, so that one node has their values."""
+        """Whether in each cell all rows are equal."""
         if self.shape is None or self.nodal.shape[2] != 1:
             return False
         return bool((self.shape == 1.0).all())
@@ -205,7 +207,7 @@ class LocalMatrix:
         return local.reshape(*values.shape[:-1], self.unknowns.size)
 
     def summed(self, loads: np.ndarray) -> np.ndarray:
-        """Sums over the cells of ``loads``, (..., width)."""
+        """Add up the cells' ``loads``, (..., cells times unknowns of a cell) -> (..., width)."""
         if self._in_order:
             return loads
         if np.iscomplexobj(loads):
@@ -252,8 +254,11 @@ def squared(nodal: np.ndarray, shape: np.ndarray | None, weights: np.ndarray) ->
 
 
 def _shape(other: LocalMatrix, unknowns: np.ndarray, blocks: np.ndarray, pieces: int) -> np.ndarray | None:
-    """The matrix that gives transposed ``blocks``, (cells, unknowns, rows), from the nodes of ``other``, or
-    None."""
+    """The matrix that interpolates transposed ``blocks``, (cells, unknowns, rows), from the nodes of
+    ``other``.
+
+    The result is None if the rows do not follow from the nodes of ``other``.
+    """
     if pieces != other.pieces or not np.array_equal(unknowns, other.unknowns):
         return None
     nodal, by_pieces = (part.reshape(*part.shape[:2], pieces, -1) for part in (other.nodal, blocks))
@@ -265,8 +270,10 @@ def _shape(other: LocalMatrix, unknowns: np.ndarray, blocks: np.ndarray, pieces:
 
 
 def _nodes(blocks: np.ndarray, pieces: int) -> tuple[np.ndarray, np.ndarray | None]:
-    """Transposed blocks (cells, unknowns, nodes) of the rows at the nodes of each cell's ``pieces``, and the
-    matrix that interpolates from the nodes.
+    """Find nodes of transposed ``blocks``, (cells, unknowns, rows), the same nodes in each of a cell's
+    ``pieces``.
+
+    Return the blocks at the nodes, (cells, unknowns, nodes), and the matrix that interpolates from the nodes.
 
     If no smaller set of rows determines the others, all rows are nodes, and the matrix is None."""
     cells, local, count = blocks.shape

@@ -1,8 +1,8 @@
 """Returns the memory of large arrays to the operating system.
 
-The GNU C library maps an array by itself, and unmaps it when it is freed, if the array is larger than a
-bound. The library raises the bound to the size of each mapped array that is freed, up to 32 MB. Smaller
-arrays then share one heap, whose pages below any array in use stay with the process.
+The GNU C library maps each array above a bound by itself, and unmaps the array when it is freed. The library
+raises the bound to the size of each mapped array that is freed, up to 32 MB. Smaller arrays then share one
+heap. The process keeps all pages of the heap below an array in use.
 """
 
 import ctypes
@@ -11,7 +11,8 @@ import sys
 from functools import cache
 
 LARGE, KEPT = 4 << 20, 32 << 20
-"""Size of arrays that are mapped by themselves, bytes; and free memory at the heap's end that is kept."""
+"""Least size of arrays that are mapped by themselves, and size of the free memory kept at the heap's end,
+bytes."""
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
 """Parameters of ``mallopt``, from malloc.h."""

@@ -1,8 +1,10 @@
-"""Single precision of the flow's linear systems: half the memory traffic, twice the numbers an operation.
+"""Single precision of the flow's linear systems.
 
-An increment is solved for to 3 per cent, and the next residual contains the rest.  Residuals, like equations
-and ledger, are in double precision.  Only operators on increments are in single precision.  Quantities of
-the state, such as jumps, which are small differences, are evaluated in double precision and then rounded.
+Single precision halves the memory traffic, and one instruction works on twice as many numbers.
+
+Increments are computed to 3 per cent; the next residual contains the rest.  Residuals, like equations and
+ledger, are in double precision.  Only operators on increments are in single precision.  Quantities of the
+state, such as jumps, which are small differences, are evaluated in double precision and then rounded.
 """
 
 import numpy as np

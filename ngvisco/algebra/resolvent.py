@@ -17,8 +17,8 @@ _NEGLECTED = 1e-4
 class Resolvent:
     """(1 - N)^{-1} for the coefficients of some cells, inverted by groups of components.
 
-    A group has components of its own, and components that all groups share.  The shared components depend on
-    none of the others, and no group depends on another one's own components.
+    A group has components of its own, and components that all groups share.  The shared components do not
+    depend on any other components.  A group does not depend on another group's own components.
     """
 
     def __init__(self, groups: Sequence[np.ndarray], blocks: Sequence[np.ndarray]) -> None:
@@ -64,8 +64,11 @@ class Resolvent:
 
 
 def _runs(numbers: np.ndarray, taken: np.ndarray | None = None) -> list[tuple[slice, slice]]:
-    """Runs of consecutive numbers, as ranges of numbers and of their places; in a run all numbers are
-    ``taken``, or none is."""
+    """Divide ``numbers`` into runs of consecutive numbers; return each run's range of numbers and range of
+    places.
+
+    With the mask ``taken`` either all numbers of a run are taken, or none is.
+    """
     breaks = np.diff(numbers) != 1
     if taken is not None:
         breaks |= np.diff(taken[numbers])
@@ -74,11 +77,11 @@ def _runs(numbers: np.ndarray, taken: np.ndarray | None = None) -> list[tuple[sl
 
 
 def resolvents(matrices: np.ndarray) -> tuple[np.ndarray, int]:
-    """(1 - N)^{-1} of stacked matrices N, and the number of terms with which the series 1 + N + N^2 ... has
-    an error below 1e-4; the number is 0 for large N.
+    """(1 - N)^{-1} of stacked matrices N, and a number of terms, which is 0 for large N.
 
-    For small N the inverse is the product (1 + N)(1 + N^2)(1 + N^4) ..., up to this error, in a fifth
-    of the time of factorisations.
+    For small N the series 1 + N + N^2 ... with this number of terms has a relative error below 1e-4.  The
+    inverse is then computed as the product (1 + N)(1 + N^2)(1 + N^4) ..., which has the same bound of the
+    error and takes a fifth of the time of factorisations.
     """
 
     def size(matrices: np.ndarray) -> float:

@@ -23,7 +23,10 @@ def largest(values: np.ndarray) -> float:
 
 
 class Rounded:
-    """A matrix in single precision; it and its arguments are scaled, as SI numbers may leave its range."""
+    """A matrix in single precision.
+
+    Matrix and arguments are scaled, because SI numbers may be outside the range of single precision.
+    """
 
     def __init__(self, matrix: sp.csr_matrix) -> None:
         self._unit = largest(matrix.data)
@@ -74,7 +77,8 @@ def mass_matrix(values: sp.csr_matrix, weights: np.ndarray) -> sp.csr_matrix:
 
 
 def pruned(matrix: sp.csr_matrix) -> sp.csr_matrix:
-    """Remove entries at rounding; the normal derivative at a side then depends on its own facet alone."""
+    """Remove entries that are rounding; a normal derivative at a side then depends on the side's facet
+    alone."""
     matrix.data[abs(matrix.data) <= 1e-14 * abs(matrix.data).max(initial=0.0)] = 0.0
     matrix.eliminate_zeros()
     return matrix
@@ -117,10 +121,10 @@ def inverse_of_blocks(matrix: sp.csr_matrix) -> sp.csr_matrix:
 
 
 def of_blocks(diagonal: np.ndarray, across: np.ndarray, neighbours: np.ndarray, count: int) -> sp.csr_matrix:
-    """Matrix of cells' blocks: ``diagonal``, (cells, q, q), and ``across`` sides, (cells, sides, q, q).
+    """Assemble the cells' blocks: ``diagonal``, (cells, q, q), and ``across`` sides, (cells, sides, q, q).
 
-    ``neighbours`` (cells, sides) are the cells across the sides; ``count`` is the number of all cells, whose
-    last ones may have no rows.
+    ``neighbours``, (cells, sides), are the cells across the sides.  ``count`` is the number of all cells;
+    cells without blocks come last.
     """
     cells, sides, q, _ = across.shape
     blocks = np.concatenate([diagonal[:, None], across], axis=1).reshape(-1, q, q)

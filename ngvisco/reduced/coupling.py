@@ -1,4 +1,5 @@
-"""Dense blocks by which a cell's rows depend on its own values and on those of the cells across its sides."""
+"""Derivatives of a cell's rows by the cell's own values and by values of the cells across its sides, as dense
+blocks."""
 
 from __future__ import annotations
 
@@ -27,8 +28,8 @@ class FacetCoupling:
         first = np.flatnonzero(np.diff(self._facet[order]) == 0)
         side, opposite = order[first], order[first + 1]
         self.across = np.arange(count)
-        """Number of the side in the other cell, (sides,); on the boundary the side's own number.  Sides of
-        other ranks' cells have numbers from ``count`` on."""
+        """Number of the opposite side, in the neighbouring cell, (sides,); on the boundary the side's own
+        number.  Sides of other ranks' cells have numbers from ``count`` on."""
         self.across[side], self.across[opposite] = opposite, side
         side_of = np.zeros(len(mass.unknowns), dtype=np.int64)
         side_of[self._facet] = np.arange(count)
@@ -65,11 +66,14 @@ class FacetCoupling:
         from_trace: np.ndarray,
         values: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of int (direct z + from_trace z_hat) q, with mass z_hat = int to_trace z t, by the
-        cell's z, (cells, q, q), and by z across each side, (cells, sides, q, q).
+        """Derivatives by z of the rows int (direct z + from_trace z_hat) q, where mass z_hat = int to_trace z
+        t.
 
-        The weights are (sides' points,).  ``values``, (cells, points, functions), replace the basis functions
-        of z.
+        The first array has the derivatives by z of the cell itself, (cells, q, q), the second array the
+        derivatives by z of the cell across each side, (cells, sides, q, q).
+
+        ``direct``, ``to_trace`` and ``from_trace`` are weights at the points of the sides, (points,).
+        ``values``, (cells, points, functions), replace the basis functions of z.
         """
         direct, to_trace, from_trace = (
             self._weights * g.reshape(self._weights.shape) for g in (direct, to_trace, from_trace)

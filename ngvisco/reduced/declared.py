@@ -1,11 +1,11 @@
 """Sorts a step's terms by the part of the split solver that evaluates them, as each term declares.
 
 A term with a ``kernel`` is evaluated by the matrices of this name.  A term with ``couples = "flow"`` is
-evaluated by its form, every other term by its integrands at points.  A form may read all fields, and has rows
-of the flow's unknowns only: v, the walls' unknowns, the creep rate field.  Newton's increments contain the
-form's derivative by the flow's unknowns, and not the derivative by rho, z and other unknowns.  The residual
-is exact; the more strongly a form depends on rho and z, the more iterations a step takes.  A term that
-contradicts its declaration is refused by name.
+evaluated by its form, every other term by its integrands at points.  A form may read all fields, but has rows
+of the flow's unknowns only: v, the walls' unknowns, the creep rate field.  Newton's matrix contains the
+form's derivatives by the flow's unknowns, but none by rho, z and other unknowns.  The residual is exact; the
+more strongly a form depends on rho and z, the more iterations a step takes.  A term that contradicts its
+declaration is refused by name.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ _FIELDS = {"rho", "grad rho", "z", "grad z"}
 
 
 class Couplings:
-    """The terms, sorted by their evaluation, and the rows of the terms that are evaluated at points.
+    """The terms, sorted by the way in which they are evaluated, and the rows of the terms evaluated at
+    points.
 
     Raises ParameterError for a term that contradicts its declaration, for a term that only the coupled solver
     takes, and for a variable whose rate is not linear in the variables.
@@ -68,24 +69,26 @@ class Couplings:
 
     @property
     def continuity(self) -> list[PointTerm]:
-        """The continuity equation if it is linear in rho. Arrays evaluate it, and it is solved for the trace
+        """The continuity equation if it is linear in rho, evaluated by arrays and solved for the trace
         of rho."""
         return [] if self._is_bent else self.of_kernel["density"]
 
     @property
     def density(self) -> list[Term]:
-        """The continuity equation if it is not linear in rho. Forms evaluate it."""
+        """The continuity equation if it is not linear in rho, evaluated by forms."""
         return self.of_kernel["density"] if self._is_bent else []
 
     def beside_the_points(self) -> list[Term]:
         """Terms with rows of the flow that are linearised in v, wall stress and Pi through their forms."""
-        at_coarse_points = {id(term) for term in self.of_gradients()}  # a user may define ==
+        at_coarse_points = {id(term) for term in self.of_gradients()}  # by id: a user's class may define ==
         linearised = (term for term in self.at_points if term.linearised and id(term) not in at_coarse_points)
         return [*self.by_forms, *(term for term in linearised if self._of_flow(term))]
 
     def of_gradients(self) -> list[PointTerm]:
-        """Terms with rows of grad w, and perhaps of w, but of no other unknown of the flow: a coarse
-        quadrature rule suffices for their linearisation in v."""
+        """Terms whose only tests of the flow are grad w, and perhaps w.
+
+        A coarse quadrature rule suffices for the linearisation of these terms in v.
+        """
         alone = ({"grad v"}, {"v", "grad v"})
         return [term for term in self.at_points if term.linearised and self._of_flow(term) in alone]
 
@@ -107,8 +110,8 @@ class Couplings:
         return [term for term in self.at_points if term.is_mass]
 
     def of_state(self) -> list[PointTerm]:
-        """Terms, except rates and the elastic force, with rows of z, stresses or weights that depend on z or
-        zeta."""
+        """Terms whose rows of z, stresses or weights depend on z or zeta, except rates and the elastic
+        force."""
         stresses, terms = {id(term) for term in self.of_gradients()}, []
         for term in self.at_points:
             reads = self._rows[id(term)].names
@@ -124,7 +127,7 @@ class Couplings:
 
 
 def term_obstacle(step: Step) -> str | None:
-    """The reason why the split solver cannot take some term, with its name; None if it takes all terms."""
+    """The reason why the split solver refuses a term, with the term's name; None if it refuses no term."""
     try:
         Couplings(step)
     except ParameterError as error:

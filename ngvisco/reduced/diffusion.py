@@ -1,4 +1,4 @@
-"""delta Laplace z with the slope of z and its traces eliminated, cell by cell and facet by facet.
+"""delta Laplace z, where the slope of z is eliminated cell by cell, and the traces facet by facet.
 
 The constant matrices of ``FieldDiffusion`` are the same for every component, and are assembled once.  Only
 phi''(z) depends on the state.  phi''(z) enters the cells' equations of the slope q,
@@ -6,8 +6,8 @@ phi''(z) depends on the state.  phi''(z) enters the cells' equations of the slop
     (phi''(z) + P) q_j = L_j (zeta + P z),        rows of z:  delta (sum_j L_j^T q_j + C S (zeta + P z)),
 
 where the left-hand side is tested by the functions of a cell.  L_j is the lifted gradient, S the penalty, P
-the projection on the directions in which the energy is linear, C the compliance.  For parameters, which have
-no rows, zeta and phi'' are left out, and P is one.
+the projection on the directions in which the energy is linear, C the compliance.  Parameters have no rows
+here; in the equations of their slopes zeta and phi'' are left out, and P is one.
 
 Over ranks L_j and S also have columns of the cells across shared facets (``Halo``).  Products with
 L_j^T have rows in these cells, which are sent back to the cells' ranks.
@@ -48,7 +48,8 @@ class FieldDiffusionRows:
         term: FieldDiffusion,
         traces: FacetMass,
     ) -> None:
-        """``traces`` gives the functions of facets and the cells across them; its weights are not used."""
+        """``traces`` provides the facets' functions and the cells across facets; its inverses are not
+        used."""
         self._op, self._slope, self._dim = operators, slope, step.mesh.dim
         self._delta, curvature = term.law.delta_fields, term.curvature
         self._of_itself = curvature.of_itself if curvature.of_itself.any() else None
@@ -78,7 +79,7 @@ class FieldDiffusionRows:
         to_means, count, size = self._to_means(traces), self.unknowns.count, cell.ndof
 
         def with_means(test: str) -> sp.csr_matrix:
-            """The matrix from zeta in cells to the rows of ``test``; traces are the means of zeta."""
+            """The matrix from zeta in cells to the rows of ``test``, with the means of zeta as its traces."""
             of_cell = block(test, "zeta")
             return widened(of_cell, of_cell.shape[0], count) + block(test, "zeta_delta_hat") @ to_means
 
@@ -92,7 +93,7 @@ class FieldDiffusionRows:
         self._products = np.einsum("cpk,cpl->cklp", weighted, blocks).reshape(cells, q * q, points)
 
     def _to_means(self, traces: FacetMass) -> sp.csr_matrix:
-        """The matrix from zeta in cells, including other ranks' cells across facets, to its means on
+        """The matrix from zeta in cells, including other ranks' cells across facets, to the means of zeta on
         facets."""
         halo, q = traces.halo, self.unknowns.per_cell
         of_cell = widened(self._to_mean, self._to_mean.shape[0], self.unknowns.count)
@@ -109,7 +110,7 @@ class FieldDiffusionRows:
         return (of_cell + sp.csr_matrix((received, (rows, columns)), shape=of_cell.shape)).tocsr()
 
     def laplacian(self, inverse_mass: sp.csr_matrix) -> sp.csr_matrix:
-        """delta Laplace of one component with phi'' replaced by one: it approximates the rows for smooth z.
+        """delta Laplace of one component for phi'' = 1, which approximates the rows for smooth z.
 
         Each rank has the share of its cells, with columns of ``unknowns``.
         """
@@ -165,7 +166,7 @@ class FieldDiffusionRows:
             return np.linalg.inv(matrices)
 
     def _solve(self, inverses: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """Solve for the slopes, (dim, n, functions), from rows of this shape, cell by cell."""
+        """Solve the slopes' equations cell by cell; rows and slopes have the shape (dim, n, functions)."""
         dim, n, _ = rows.shape
         q = self._op.z.blocks.shape[2]
         local = rows.reshape(dim, n, -1, q).transpose(2, 1, 3, 0).reshape(len(inverses), n * q, dim)

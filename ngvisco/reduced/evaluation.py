@@ -1,9 +1,9 @@
 """Evaluates a step's terms by arrays at all points of a quadrature rule, and integrates their rows.
 
-A term's ``cells`` and ``facets`` are evaluated with arrays in place of coefficient functions. Their
-integrands are linear in the tests. The factor of each test is integrated against the basis functions of the
-test's space by the matrices of ``Operators`` and ``SideOperators``. Complex coefficients give complex values,
-and the imaginary part of a row is its derivative along the imaginary part of the coefficients.
+A term's ``cells`` and ``facets`` are evaluated with arrays in place of coefficient functions. The integrands
+are linear in the tests. The factor of each test is integrated against the basis functions of the test's space
+by the matrices of ``Operators`` and ``SideOperators``. Complex coefficients give complex values, and the
+imaginary part of a row is the row's derivative along the imaginary part of the coefficients.
 """
 
 from __future__ import annotations
@@ -54,8 +54,11 @@ def names_of(step: Step, inside: bool) -> tuple[list[str], list[str]]:
 
 
 def tests_of(step: Step, inside: bool, context: Any) -> Fields:
-    """Tests that record their factors. In cells tests have gradients, on facets there are tests of facet
-    means."""
+    """Tests of the unknowns, in cells if ``inside``, else on facets; each test records its factor in an
+    integrand.
+
+    Tests in cells also have gradients. Tests on facets include the tests of facet means.
+    """
     shapes, d = shapes_of(step), step.mesh.dim
     names = [name for name in in_cells(step.layout) if name in shapes] if inside else on_sides(step)
 
@@ -101,7 +104,7 @@ class Sampled:
 
     @property
     def momentum_old(self) -> np.ndarray | None:
-        """m_old, (dim, points), kg/(m^2 s); None for another rule than the forms' rule."""
+        """m_old, (dim, points), kg/(m^2 s); None if this rule is not the forms' rule."""
         momentum, dim = self._step.momentum_old, self._step.mesh.dim
         is_known = self._points.count * dim == momentum.space.ndof
         return self._points.read(momentum, dim) if is_known else None
@@ -161,7 +164,7 @@ class CellContext(_PointContext):
         """m_old, kg/(m^2 s)."""
         if (momentum := self.sampled.momentum_old) is not None:
             return self._here(momentum, [len(momentum)])
-        old = self.old  # a coarser rule serves tangents only
+        old = self.old  # a coarser rule is used for tangents only
         return old.rho * old.v
 
     def average(self, value: CoefficientFunction) -> Array:
@@ -237,14 +240,14 @@ class _Terms:
 
     def factors(self, terms: Iterable[PointTerm], u: Fields) -> dict[str, np.ndarray]:
         """Factors of each test and of its gradient, summed over the terms, (..., points)."""
-        # u repeats the points of the cells for each direction of an increment
+        # u may have the cells' points several times, once for each direction of an increment
         tests = tests_of(self._step, True, u.context) if self._inside else self._tests
         return factors_of([part for term in terms for part in getattr(term, self.place)(u, tests)])
 
     def loads(self, terms: Iterable[PointTerm], u: Fields) -> Rows:
         """Integrals of the terms against the basis functions of each cell, see ``LocalMatrix.loads``.
 
-        Facet means have no such integrals on the cells' sides.
+        Rows of unknowns on facets are left out.
         """
         rows = Rows()
         for name, values in self.factors(terms, u).items():
@@ -260,7 +263,7 @@ class _Terms:
         return rows
 
     def _full(self, values: np.ndarray) -> np.ndarray:
-        """Broadcast values that may be constant to all points."""
+        """Broadcast ``values``, which may be constant, to all points."""
         count = len(self.op.weights)
         return values if values.shape[-1] == count else np.broadcast_to(values, (*values.shape[:-1], count))
 
@@ -290,7 +293,7 @@ class CellTerms(_Terms):
         self._begin(step, True)
 
     def part(self, cells: slice) -> CellTerms:
-        """The integrals over the range ``cells`` only: ``loads`` may be called, ``rows`` not."""
+        """The integrals over the range ``cells`` only, as loads; ``summed`` and ``rows`` need all cells."""
         operators, context = self.op.part(cells), self.context
         return CellTerms(self._step, operators, context.rates, self.place, context.sampled)
 
@@ -318,11 +321,12 @@ class FacetTerms(_Terms):
         self._begin(step, False)
 
     def part(self, cells: slice) -> FacetTerms:
-        """The integrals over the sides of the range ``cells`` only: ``loads`` may be called, ``rows`` not."""
+        """The integrals over the sides of the range ``cells`` only, as loads; ``summed`` and ``rows`` need
+        all cells."""
         return FacetTerms(self._step, self.op.part(cells), self.context.samples)
 
     def loads_of(self, term: PointTerm, name: str, u: Fields) -> np.ndarray:
-        """Loads of the equation of the facet unknown ``name``, evaluated where this unknown is zero.
+        """Loads of the equation of the facet unknown ``name``, evaluated with this unknown set to zero.
 
         ``u`` keeps the values that it computes for this equation, for use in other equations.
         """

@@ -1,10 +1,10 @@
 """dR/dz of terms by which cells act on each other across facets, with the facet means eliminated.
 
 A term on a cell's side reads the cell's z, its conjugates zeta, and facet means (``FacetMean``). A facet mean
-reads z and zeta of both cells, and earlier means. Derivatives are taken by complex increments at the points,
-in all cells at once: along each basis function of the cells, and along each basis function of the facets. If
-a mean is m = sum over both sides of A dz, and the rows of a side change with it by H dm, the derivative of
-the side's rows is
+reads z and zeta of both cells, and means that are computed before it. Derivatives are taken by complex
+increments at the points, in all cells at once: along each basis function of the cells, and along each basis
+function of the facets. If a mean is m = sum over both sides of A dz, and the rows of a side change with the
+mean by H dm, the derivative of the side's rows is
 
     (own + H A) dz + H A(other side) dz(other cell),    summed over the means.
 
@@ -55,10 +55,12 @@ class FacetTangent:
         self._projecting = residual.op.projection()
 
     def __call__(self, at: Evaluation) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of a cell's rows, q functions a component; also sets ``columns``.
+        """Derivatives of a cell's rows by z; also sets ``columns``.
 
-        The first array is by the cell's own z, (cells, rows q, columns q), the second by z of the cells
-        across its sides, (cells, sides, rows q, columns q)."""
+        Each component of z has q functions in a cell.  The first array has the derivatives by the cell's own
+        z, (cells, rows q, columns q).  The second array has the derivatives by z of the cells across its
+        sides, (cells, sides, rows q, columns q).
+        """
         r, coupling, q = self.residual, self.coupling, self.coupling.functions
         count, height = coupling.cells * coupling.sides, len(self.rows) * q
         along = [(name, i, a) for name, i in self._read for a in range(q)]
@@ -115,8 +117,10 @@ class FacetTangent:
         return derivatives[:, :, :, self.columns].reshape(cells, len(self._read) * q, len(self.columns) * q)
 
     def _in_cells(self, u: Fields, d: Fields, name: str) -> np.ndarray:
-        """Rows in cells from an increment, (cells, rows q); products of the increment's and the tests' values
-        are left out."""
+        """Change of the cells' rows by the increment ``d`` of the unknown ``name``, (cells, rows q).
+
+        Integrals of a value of the increment times a value of a test are left out.
+        """
         r = self.residual
         by_all = r.cell_terms.factors(self.terms, moved(u, d, [name])).get("grad z")
         by_gradients = r.cell_terms.factors(self.terms, moved(u, d, [name], values=False)).get("z")
@@ -166,7 +170,7 @@ class _Mean:
         return self._coupling.tested(full, self._mass.functions)
 
     def solved(self, loads: np.ndarray) -> np.ndarray:
-        """Change of the mean's coefficients by ``loads`` of one side, (sides, size, .)."""
+        """Change of the mean's coefficients by the ``loads`` of each side alone, (sides, size, .)."""
         parts = loads.reshape(len(loads), len(self._components), self._functions, loads.shape[-1])
         return (-self._mass.inverses[self._facet][:, None] @ parts).reshape(loads.shape)
 

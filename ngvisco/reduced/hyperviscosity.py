@@ -1,7 +1,7 @@
 """The hyperviscosity as a function of (v, a), by matrices; its local unknowns are eliminated.
 
-Lifting and jump are linear in (v, a) and the same for every component of v.  Their matrices are assembled
-once, from the term's form for one component.  All nonlinearity is in scalars on cells
+Lifting and jump are linear in (v, a) and the same for every component of v.  The matrices of both
+are assembled once, from the term's form for one component.  All nonlinearity is in scalars on cells
 (``ngvisco.forms.terms.hyperviscosity``):
 
     Hs = lifting(v, a),  s = P |Hs|^2,  c_s = P c(s) + facets,  S = P (c_s Hs),
@@ -42,7 +42,8 @@ class SideJumps:
     def __init__(
         self, hyper: MatrixHyperviscosity, op: PointOperators, other: SideJumps | None = None
     ) -> None:
-        """``other`` are the jumps at another rule's points; both share nodes."""
+        """``other`` has the jumps at another rule's points; its nodes are used here too if all values follow
+        from them."""
         matrix = op.points.operator(hyper.component, lambda u: hyper.fields_of(u).jump[0])
         shared = None if other is None else other.jump
         self.jump: LocalMatrix = LocalMatrix(
@@ -88,13 +89,13 @@ class MatrixHyperviscosity:
         k = layout.discretisation.k
         ones = layout.states.tensors(lambda: Array(np.ones((layout.states.size, 1)), None))
         is_uniform = all(isinstance(modulus, (int, float)) for modulus in self.law.moduli(ones))
-        # for k = 2 Hs and all functions of it are cellwise constant: one point suffices
+        # if ``constant``, Hs and all functions of Hs are constant in each cell, and one point suffices
         constant = k == 2 and step.mesh.GetCurveOrder() <= 1 and is_uniform
         self.op = Operators(step, 0) if constant else op
         velocity = layout.scalar_space("v")
         self.velocities = velocity.ndof
         self.component = FESpace([velocity, layout.scalar_space(layout.names_of("normals")[0])])
-        """The space of (v_i, a_i); linear functions of them are the same for every component i."""
+        """The space of (v_i, a_i); lifting and jump are the same linear functions for every component i."""
         self._lifting()
         self.sides = SideJumps(self, sides)
         if not self.law.is_linear:
@@ -102,7 +103,7 @@ class MatrixHyperviscosity:
             self.s_inverse = inverse_of_blocks(mass_matrix(self.s_values.matrix, self.op.weights))
 
     def tensors(self, z: np.ndarray) -> Values:
-        """Values of the variables at the cells' points of this rule, from their coefficients."""
+        """Values of the variables at the cells' points of this rule, from the coefficients ``z``."""
         return self.step.layout.states.tensors(lambda: Array(self.op.z(z), None))
 
     def fields_of(self, parts: Sequence[CoefficientFunction]) -> Fields:

@@ -33,7 +33,9 @@ class PointOperators:
     ) -> None:
         """``pieces`` is the number of equal parts of a cell's points, see ``LocalMatrix``.
 
-        ``other`` are operators at another rule's points, in the same pieces of a cell; both share nodes."""
+        ``other`` are operators at another rule's points, in the same pieces of a cell.  The nodes of
+        ``other`` are used here too if all values follow from them.
+        """
         self.layout, self.pieces, self._h, self._other = step.layout, pieces, step.context.h, other
         self.points: Any = points
         self.cells, self.weights = slice(0, step.mesh.ne), points.weights
@@ -90,7 +92,7 @@ class Operators(PointOperators):
     """Operators at the cells' points of the quadrature rule of degree 2 ``order``."""
 
     def __init__(self, step: Step, order: int, other: Operators | None = None) -> None:
-        """``other`` are operators at another rule's points; both share nodes."""
+        """``other`` are operators at another rule's points, see ``PointOperators``."""
         super().__init__(step, CellPoints(step.mesh, order, step.layout.symmetry), other=other)
 
     def tests(self) -> np.ndarray:
@@ -106,8 +108,8 @@ class Operators(PointOperators):
 class SideOperators(PointOperators):
     """Operators at the points of the cells' sides.
 
-    ``inner``, (points,), is 1 between two cells and 0 on walls; ``crossed`` is 1 also on walls that matter
-    crosses.
+    ``inner``, (points,), is 1 between two cells and 0 on walls; ``crossed`` is 1 also on walls through which
+    matter may flow.
     """
 
     def __init__(self, step: Step) -> None:
@@ -174,11 +176,11 @@ class FacetMass:
         for i, j in np.ndindex(size, size):
             blocks[i, j] = np.bincount(self.facet, of_sides[:, i, j], count)
         with self.exchange.communicator.together(np.linalg.LinAlgError):
-            # a shared facet's block has a share on the other rank
+            # the block of a shared facet is the sum of both ranks' shares
             self.inverses = np.linalg.inv(self.of_facets.sum(blocks).transpose(2, 0, 1))
 
     def solve(self, loads: np.ndarray) -> np.ndarray:
-        """Multiply ``loads`` (..., unknowns) by the inverse."""
+        """Multiply ``loads`` (..., unknowns) by the inverse mass matrix."""
         columns = loads.reshape(prod(loads.shape[:-1]), loads.shape[-1]).T
         result = np.zeros(columns.shape, loads.dtype)
         result[self.unknowns] = np.matmul(self.inverses, columns[self.unknowns])

@@ -18,7 +18,8 @@ from ngvisco.forms.fields import Fields
 from ngvisco.physics.arrays import TINY, Array
 
 TOGETHER = 8192
-"""Number of points, counted over all directions, in one chunk: its values stay in the processor's cache."""
+"""Number of points in one chunk, counted over all directions; a chunk's values stay in the processor's
+cache."""
 CELLS, FACETS = "in cells", "on facets"
 """Places of values, for messages."""
 
@@ -117,7 +118,7 @@ def derivative_of(values: np.ndarray, directions: int) -> np.ndarray:
 
 
 def repeated(u: Fields, times: int) -> Fields:
-    """``u``, with the data of the step, and all points repeated ``times`` times."""
+    """``u`` and the data of its step, with all points repeated ``times`` times."""
 
     def over(value: Array) -> Array:
         return value if value.value.shape[-1] == 1 else Array(np.tile(value.value, times), None)

@@ -1,13 +1,14 @@
 """The residual as a function of the iterated unknowns (v, wall stress, Pi, a, rho, z) alone.
 
-For a given v the kinematic equations are linear except for creep.  The traces, the conjugates zeta, the
-local creep rate, the hyperviscosity's local unknowns and the slopes of the delta-regularised z are derived
+For a given v the kinematic equations are linear except for creep.  The traces, the conjugates zeta, the local
+creep rate, the hyperviscosity's local unknowns and the slopes of the delta-regularised z are derived
 unknowns: functions of the iterated unknowns, evaluated and never iterated.  All rows follow from the terms
-themselves (``ngvisco.reduced.evaluation``).  An infinitesimal imaginary part in the iterated unknowns gives
-Newton's whole matrix times a direction.
+themselves (``ngvisco.reduced.evaluation``).  An infinitesimal imaginary part of the iterated unknowns gives
+the product of Newton's whole matrix and a direction.
 
-Each rank evaluates its own cells.  Ranks sum loads of traces before they solve for the traces, and rows of
-the flow, of the normal derivatives and of iterated traces at the end.  All other rows belong to one cell.
+Each rank evaluates its own cells.  Ranks sum loads of traces before they solve for the traces.  At the end
+they sum the rows of the flow, of the normal derivatives and of iterated traces.  All other rows belong to one
+cell.
 """
 
 from __future__ import annotations
@@ -48,7 +49,8 @@ TOGETHER = 24_000
 
 
 class RestrictedForm:
-    """The given terms' rows and columns of the unknowns ``names``, assembled from the terms' forms."""
+    """Rows of the unknowns ``names`` in the given terms, and their derivatives by these unknowns, from the
+    terms' forms."""
 
     def __init__(self, step: Step, names: Sequence[str], terms: Sequence[Term]) -> None:
         layout, self.names, self.step = step.layout, list(names), step
@@ -95,7 +97,7 @@ class Evaluation:
     coefficients: dict[str, np.ndarray]  # of iterated and derived unknowns, (components, functions)
     hyper: HyperValues | None
     residual: np.ndarray  # the rows, packed like the unknowns
-    terms: tuple[CellTerms, FacetTerms]  # whose ``fields`` evaluate unknowns at points
+    terms: tuple[CellTerms, FacetTerms]  # their ``fields`` evaluate unknowns at points
 
     @property
     def cells(self) -> Fields:
@@ -109,12 +111,12 @@ class Evaluation:
 
 
 PartFields: TypeAlias = tuple[Fields, Fields, Fields]
-"""Values at the points of some cells, of their sides, and at the points of ``ReducedResidual.carried``; each
-is computed at its first access."""
+"""Values at the points of some cells, at the points of their sides, and at the points of the rule for
+``ReducedResidual.carried``.  Each value is computed at its first access."""
 
 
 class CellPart:
-    """A range of cells and their sides, the values at whose points fit the cache."""
+    """A range of cells and their sides, so small that the values at all points fit the processor's cache."""
 
     def __init__(self, residual: ReducedResidual, cells: slice) -> None:
         self.cells, self.residual = cells, residual
@@ -122,8 +124,8 @@ class CellPart:
         self.carried = residual.carried_terms.part(cells)
 
     def fields(self, c: Coefficients) -> PartFields:
-        """Fields at the points of the cells, of their sides and of the polynomials' rule, from the
-        coefficients ``c``."""
+        """Fields with the coefficients ``c`` at the points of the cells, of their sides and of the rule for
+        polynomials."""
         return self.inside.fields(c), self.sides.fields(c), self.carried.fields(c)
 
     def mean(self, at: PartFields, term: CellMean) -> np.ndarray:
@@ -220,15 +222,15 @@ class ReducedResidual:
         self._fixed_means = {
             name: of for term, name in self.means_of_sides if (of := self._mean_of(term, name))
         }
-        """Names of the unknowns in cells whose means are facet unknowns, by these, and matrices of the
-        loads."""
+        """By the name of each facet mean of one unknown in cells: this unknown's name, and the matrix of the
+        mean's loads."""
         cells = step.mesh.ne
         ranges = parts_of(cells, self.op.points.per_cell) if self.slope.is_local else [slice(0, cells)]
         self.parts = [CellPart(self, cell_range) for cell_range in ranges]
 
     def _divide(self, step: Step) -> None:
-        """Set the terms ``carried``, polynomials for which a rule of fewer points is exact, and the
-        ``others``."""
+        """Divide the terms at points into ``carried``, polynomials for which a rule of fewer points is exact,
+        and ``others``."""
         k, m, whole = step.discretisation.k, step.discretisation.m, step.quadrature.volume_degree // 2
         self.carried, self.others, orders = list[PointTerm](), list[PointTerm](), [1]
         for term in self.at_points:
@@ -268,8 +270,9 @@ class ReducedResidual:
     def __call__(self, x: np.ndarray, anew: bool = False) -> Evaluation:
         """Evaluate R at ``x``.  A real ``x`` and the unknowns derived from it become the step's state.
 
-        With ``anew`` the flow rules are linearised at x (``LinearisationStress``); else their slopes stay.
-        NGSolve's forms read the state: for a complex x their linearisation about the state is used.
+        With ``anew`` the flow rules are linearised at x (``LinearisationStress``); otherwise the slopes of
+        the last linearisation stay.  NGSolve's forms read the state; for a complex x the linearisation of the
+        forms about the state is used.
         """
         c, hyper, at = self._derived(x)
         inside, on_sides = zip(*self.share(lambda part: part.loads(at(part), hyper), self.parts), strict=True)
@@ -331,8 +334,10 @@ class ReducedResidual:
         return self.workers.map(work, parts) if self.slope.is_local else [work(part) for part in parts]
 
     def at_once(self, *works: Callable[[], Any]) -> list[Any]:
-        """Results of functions of no argument that work on arrays; threads share them if the mesh has several
-        parts.  This thread calls the first function."""
+        """Results of ``works``, functions without arguments that work on arrays.
+
+        Threads share the functions if the mesh has several parts; this thread calls the first one.
+        """
         is_large = len(self.parts) > 1
         return self.workers.map(lambda work: work(), works) if is_large else [work() for work in works]
 
@@ -343,7 +348,8 @@ class ReducedResidual:
             self._at_collocation_points(self.collocated_terms, c, True)
 
     def _at_collocation_points(self, terms: CellTerms, c: dict[str, np.ndarray], is_real: bool) -> Fields:
-        """Fields at the collocation points; if ``is_real``, the linearisation stresses take their values."""
+        """Fields at the collocation points; if ``is_real``, these values are put into the linearisation
+        stresses."""
         n = terms.fields(c)
         if is_real:
             self.step.stresses.refresh(lambda: (n.z.value, n.zeta.value))
@@ -395,10 +401,11 @@ class ReducedResidual:
         return c, hyper, at
 
     def derivative(self, at: Evaluation) -> Callable[[np.ndarray], np.ndarray]:
-        """The map from packed directions d to the rows dR d at an evaluation; its x has to be the state.
+        """The map from packed directions d to the rows dR d at an evaluation, whose x has to be the step's
+        state.
 
-        The derivative is taken by complex increments of all arrays.  Terms that exist as forms only are
-        linearised by NGSolve.
+        The derivative is taken by complex increments of all arrays.  NGSolve linearises the terms that exist
+        only as forms.
         """
         u = self.unknowns
         self.step.stresses.linearise()
@@ -419,7 +426,8 @@ class ReducedResidual:
         return self._masses[self.step.layout.unknowns[name].order]
 
     def _packed(self, x: np.ndarray, rows: list[dict[str, np.ndarray]]) -> np.ndarray:
-        """Sum the rows by unknown, the forms' rows and the source's rows, over all ranks."""
+        """Pack the sum over all ranks of ``rows``, by unknown, of the forms' rows and of the source's
+        rows."""
         u, is_real, result = self.unknowns, not np.iscomplexobj(x), np.zeros_like(x)
         for part in rows:
             for name, values in part.items():

@@ -26,7 +26,7 @@ class PointwiseSlope:
         """Mask of the components of lagged variables."""
         for name in material.lagged:
             self.lagged[states.slices[name]] = True
-        names = () if self.lagged.any() else material.summed  # lagged phi'' is not symmetric
+        names = () if self.lagged.any() else material.summed  # with lagged variables phi'' is not symmetric
         every = np.arange(states.size)
         groups = [np.concatenate([every[states.slices[v]] for v in group]) for group in names if group]
         self._shared = np.setdiff1d(every, np.concatenate([*groups, every[:0]]))
@@ -70,8 +70,8 @@ class PointwiseSlope:
     def hessian(self, z_values: np.ndarray) -> np.ndarray:
         """phi''(z), (n, n, points), for real z.
 
-        One derivative gives a column of each branch: phi'' is zero between branches, and symmetric; columns
-        of components in which phi is linear follow from the others.
+        phi'' is symmetric, and zero between branches.  One derivative therefore gives a column of each
+        branch.  Columns of components in which phi is linear follow from the other columns.
         """
         n = self.components
         result = np.zeros((n, n, z_values.shape[1]))
@@ -116,7 +116,7 @@ class PointwiseSlope:
         return np.where(self.lagged, self._frozen[1], z_values)
 
     def _whole(self, z_values: np.ndarray) -> np.ndarray:
-        """phi'(z) of all variables, with ``z_values`` for lagged variables too."""
+        """phi'(z) of all variables at ``z_values``, the values of lagged variables included."""
         if np.iscomplexobj(z_values):
             z, dz = np.ascontiguousarray(z_values.real), np.ascontiguousarray(z_values.imag)
             return self._whole(z) + 1j * self._whole_derivative(z)(dz)

@@ -12,7 +12,7 @@ from ngvisco.reduced.unknowns import Unknowns
 
 
 class RightHandSide:
-    """The rows of a step's source, packed like the unknowns; they are added to the residual.
+    """The rows of a step's source, which are packed like the unknowns and added to the residual.
 
     Raises WithheldError for a source that depends on unknowns, or tests an unknown that is not iterated.
     """

@@ -30,8 +30,8 @@ class Unknowns:
 
     The vector has the following blocks in this order.  ``velocity_block`` is v, and the wall stress and the
     creep rate field if the step has them; ``normals`` are the facets' normal derivatives; ``density`` is rho,
-    and its traces if the continuity equation is not linear; the last block is z.  With bodies rho is a sum of
-    components of z, and no unknown.
+    and its traces if the continuity equation is not linear; the last block is z.  With bodies rho is not an
+    unknown but a sum of components of z.
     """
 
     def __init__(self, step: Step) -> None:
@@ -89,7 +89,7 @@ class Unknowns:
         return result
 
     def scales(self, x: np.ndarray, exchange: Exchange) -> np.ndarray:
-        """Scales by which norms of vectors weight the unknowns: the norm of a block, times 1000 if v
+        """Scales of the unknowns in norms of vectors: the norm of the unknown's block, times 1000 if v
         determines the block.
 
         ``exchange`` belongs to the packed unknowns.
