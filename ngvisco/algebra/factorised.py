@@ -58,7 +58,8 @@ class DirectSolver:
     """A direct solver in the free unknowns of a mask; other unknowns are set to 0.
 
     If ``symmetric``, the solver takes the matrix's symmetric part.  If ``approximate``, the solver uses
-    factors in single precision where they are accurate enough; they take half of the time and the memory.
+    factors in single precision where these are accurate enough; such factors take half of the time and the
+    memory.
     """
 
     def __init__(self, free: np.ndarray, symmetric: bool = False, approximate: bool = False) -> None:

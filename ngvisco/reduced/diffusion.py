@@ -9,8 +9,8 @@ where the left-hand side is tested by the functions of a cell.  L_j is the lifte
 the projection on the directions in which the energy is linear, C the compliance.  Parameters have no rows
 here; in the equations of their slopes zeta and phi'' are left out, and P is one.
 
-Over ranks L_j and S also have columns of the cells across shared facets (``Halo``).  Products with
-L_j^T have rows in these cells, which are sent back to the cells' ranks.
+Over ranks L_j and S also have columns of the cells across shared facets (``Halo``).  The rows of L_j^T in
+other ranks' cells are sent to those ranks.
 
 NGSolve's form takes 2 to 4 times as long for the rows, and 30 to 260 times for their derivative
 (``tests/benchmarks/kernels.py``); ``tests/solver/test_split_agrees.py`` compares solutions with those by the

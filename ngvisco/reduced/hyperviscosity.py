@@ -1,6 +1,6 @@
 """The hyperviscosity as a function of (v, a), by matrices; its local unknowns are eliminated.
 
-Lifting and jump are linear in (v, a) and the same for every component of v.  The matrices of both
+Lifting and jump are linear in (v, a) and the same for every component of v.  The matrices of lifting and jump
 are assembled once, from the term's form for one component.  All nonlinearity is in scalars on cells
 (``ngvisco.forms.terms.hyperviscosity``):
 
@@ -70,7 +70,8 @@ class HyperValues:
     """Values of the hyperviscosity's quantities at one (v, a).
 
     ``local`` has the coefficients of the local unknowns by name: "hess" and "hyperstress", (dim components,
-    functions); if the hyperstress is nonlinear, also |Hs|^2, "hess_square", and c_s, "hyper_coefficient".
+    functions).  If the hyperstress is nonlinear, ``local`` also has |Hs|^2 as "hess_square", and c_s as
+    "hyper_coefficient".
     """
 
     x: np.ndarray  # (dim, unknowns of v and a)

@@ -7,8 +7,8 @@ themselves (``ngvisco.reduced.evaluation``).  An infinitesimal imaginary part of
 the product of Newton's whole matrix and a direction.
 
 Each rank evaluates its own cells.  Ranks sum loads of traces before they solve for the traces.  At the end
-they sum the rows of the flow, of the normal derivatives and of iterated traces.  All other rows belong to one
-cell.
+ranks sum the rows of the flow, of the normal derivatives and of iterated traces.  All other rows belong to
+one cell.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ TOGETHER = 24_000
 
 
 class RestrictedForm:
-    """Rows of the unknowns ``names`` in the given terms, and their derivatives by these unknowns, from the
-    terms' forms."""
+    """Rows of some unknowns in the given terms, and the rows' derivatives by these unknowns, from the terms'
+    forms."""
 
     def __init__(self, step: Step, names: Sequence[str], terms: Sequence[Term]) -> None:
         layout, self.names, self.step = step.layout, list(names), step
@@ -222,8 +222,8 @@ class ReducedResidual:
         self._fixed_means = {
             name: of for term, name in self.means_of_sides if (of := self._mean_of(term, name))
         }
-        """By the name of each facet mean of one unknown in cells: this unknown's name, and the matrix of the
-        mean's loads."""
+        """Name of the unknown in cells, and matrix of the mean's loads, for each facet mean of one unknown,
+        by the mean's name."""
         cells = step.mesh.ne
         ranges = parts_of(cells, self.op.points.per_cell) if self.slope.is_local else [slice(0, cells)]
         self.parts = [CellPart(self, cell_range) for cell_range in ranges]
