@@ -1,19 +1,19 @@
 """The coupled solver: damped Newton iteration with a reused factorisation, statically condensed.
 
-A Jacobian is assembled and factorised at the start of a run, and if the contraction of the last increment,
-theta = |d_{i+1}|/|d_i|, is worse than ``refresh``.  All other increments are computed with the present
+A Jacobian is assembled and factorised at the start of a run, and again if the contraction of the last
+increment, theta = |d_{i+1}|/|d_i|, is above ``refresh``.  All other increments are computed with the present
 factorisation. Damping is the natural monotonicity test of affine invariant Newton methods: a step of length
 lambda is taken if the next increment by the same factorisation is shorter by the factor 1 - lambda/4.  The
-test is invariant under scaling of the equations, so residuals in different units are never compared. Both
-increments are measured with one scale, the larger of the scales before and after the step: a step that is
-far too long makes the scale grow, and would otherwise pass the test.
+test is invariant under scaling of the equations, so residuals in different units are never compared. The two
+increments are measured with one scale, the larger of the scales before and after the step: a step that is far
+too long makes the scale grow, and would pass a test by two scales.
 
-Rounding. The residual sums parts that cancel. Near F = I the parts of the elastic force have the size of the
-modulus G, and their rounding leaves a force of eps G/h. No stiffness resists this force if it moves the body
-as a whole, so that v is known to eps G tau/(rho h) only. To measure this noise, every number of the state is
-perturbed by one unit in its last place; the increment changes by the noise, which no iteration can remove.
-When a fresh Jacobian no longer advances the iteration, an increment as large as the noise is accepted, and
-so is an increment below the tolerance in the norm with the coarse floor.
+Rounding. The residual is a sum of parts that cancel. Near F = I the parts of the elastic force have the size
+of the modulus G, and the rounding of the parts leaves a force of eps G/h. No stiffness resists a force that
+moves the body as a whole, so that v is known only to eps G tau/(rho h). To measure this noise, every number
+of the state is perturbed by one unit in its last place; the increment changes by the noise, which no
+iteration can remove. If a fresh Jacobian no longer advances the iteration, an increment as small as the noise
+is accepted, and also an increment below the tolerance in the norm with the coarse floor.
 """
 
 from __future__ import annotations
@@ -32,12 +32,13 @@ from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.problem import BlockNorm, NewtonIteration, Problem, Solution, Status, unconverged
 
 NOISE_SAMPLES, NOISE_MARGIN, NOISE_CAP = 2, 10.0, 100.0
-"""Number of perturbations of the state; margin; and cap, in tolerances. The noise is the largest change of
-the increment under these perturbations. A stalled increment is accepted if it is below both the margin times
-the noise and the cap; there is a margin because increment and noise are random."""
+"""Number of perturbations of the state by which the noise is measured; margin; and cap, in tolerances. The
+noise is the largest change of the increment under these perturbations. A stalled increment is accepted if it
+is below both the margin times the noise and the cap; the margin is needed because increment and noise are
+random."""
 NEAR = 10.0
-"""Size, in tolerances, below which a stalled increment is accepted without measuring the noise: the rounding
-of a stiff pressure may change a slow velocity by this size."""
+"""A stalled increment below this number of tolerances is accepted without a measurement of the noise: the
+rounding of a stiff pressure may change a slow velocity by as much."""
 HEAP_SIZES = (500_000_000, 2_000_000_000)
 """Heap sizes for a cell's matrix, bytes, tried if NGSolve's default is too small, as for k = 3, m = 2 in
 3D."""
@@ -91,7 +92,7 @@ class CondensedJacobian:
         self._rhs = state.CreateVector()
 
     def forget(self) -> None:
-        """Drop the factorisation, so that the next one is new; all ranks have to call this."""
+        """Drop the factorisation, so that the next one is new; all ranks have to call this method."""
         if isinstance(self.inverse, PETScInverse):
             self.inverse.release()
         self.inverse = None
@@ -119,12 +120,12 @@ class CondensedJacobian:
 class Newton:
     """Solves R(u; .) = 0 for ``state``; keeps its vectors and factorisation between solves.
 
-    ``update`` recomputes the local unknowns of ``state`` from the others; ``update_stored`` is called before
-    the form is evaluated at a state for which ``update`` was not called last.  Flow rules are linearised at
-    ``stresses``, which are iterated together with the state.  ``has_energy`` says whether the state has a
-    stored energy: an iterate without energy is treated as one without a residual, because the derivative of
-    a logarithm is finite even where the logarithm is not defined.  ``growths`` counts changes of the
-    equations that evaluations cause (``ngvisco.forms.upwinding.Largest``).
+    ``update`` recomputes the local unknowns of ``state`` from the other unknowns; ``update_stored`` is called
+    before the form is evaluated at a state for which ``update`` was not called last.  Flow rules are
+    linearised at ``stresses``, which are iterated together with the state.  ``has_energy`` says whether the
+    state has a stored energy: an iterate without energy is treated as one without a residual, because the
+    derivative of a logarithm is finite even where the logarithm is not defined.  ``growths`` counts changes
+    of the equations that evaluations cause (``ngvisco.forms.upwinding.Largest``).
     """
 
     def __init__(
@@ -158,7 +159,7 @@ class Newton:
         self.jacobian.forget()
 
     def factorise(self, problem: Problem) -> None:
-        """Factorise the Jacobian at the present state; raises StepError if it is singular."""
+        """Factorise the Jacobian at the present state; raises StepError if the Jacobian is singular."""
         problem.pose()
         self._factorise(problem)
 
@@ -209,7 +210,7 @@ class Newton:
             # the energy first: without an energy the residual is not finite either, and hides the reason
             if self.has_energy() and self._is_finite(self._trial_residual):
                 next_size, contraction = self._following(size)
-                # points that begin or cease to yield need new slopes for the next increment
+                # where matter begins or ceases to yield, the next increment needs new slopes
                 renewed = bool(self.stresses) and not contraction <= 1 - damping / 4
                 if renewed:
                     self._factorise(problem, self._trial_residual)
@@ -256,7 +257,8 @@ class Newton:
         self.update()
 
     def _following(self, size: float) -> tuple[float, float]:
-        """The size of the next increment, from the trial residual, and its ratio to the last increment."""
+        """The size of the next increment, from the trial residual, and its ratio to the size of the last
+        increment."""
         self.jacobian.solve(self._trial_residual, self._next)
         # NaN if an increment is not finite: it passes no test
         contraction = self.norm(self._next, self._base, self.state) / size if size != 0 else 0.0
@@ -270,7 +272,7 @@ class Newton:
         self.jacobian.solve(self._residual, self._increment)
 
     def _is_finite(self, residual: BaseVector) -> bool:
-        """Whether the residual is finite on all ranks; NGSolve's norm would sum shared entries in any
+        """Whether the residual is finite on all ranks; NGSolve's norm would add up shared entries in a random
         order."""
         values = residual.FV().NumPy()
         with np.errstate(over="ignore", invalid="ignore"):
@@ -287,7 +289,7 @@ class Newton:
         return size <= NEAR * tolerance or size <= NOISE_MARGIN * self._noise()
 
     def _stalled(self) -> Status:
-        """The end of an iteration in which no step length reduces the present increment."""
+        """The status of an iteration that ends because no step length reduces the present increment."""
         self._trial_residual.data = self._residual
         size = self.norm(self._increment, self.state)
         if not size <= NOISE_MARGIN * self._noise():
@@ -295,12 +297,11 @@ class Newton:
         return Status.CONVERGED if size <= NOISE_CAP * self.options.tolerance else Status.ROUNDING
 
     def _noise(self) -> float:
-        """The change of the present increment if every number of the state changes by one unit in the last
-        place.
+        """The change of the present increment if every number of the state changes in its last place.
 
         The noise includes the perturbation of the state itself, which is far smaller.  A wrong derivative, a
-        fold or a kink of the equations does not enlarge the noise, because the increments that they cause do
-        not change with the rounding.
+        fold or a kink of the equations does not enlarge the noise, because increments caused by these do not
+        change with the rounding.
         """
         u = self.state
         kept, rows, change = (u.CreateVector() for _ in range(3))

@@ -1,6 +1,6 @@
 """Options of the solvers.  Constants that no run changes are defined in the modules that use them.
 
-Options that are pairs have one value for 2D and one for 3D.  ``ngvisco/solver/NOTES.md`` has the
+An option that is a pair has one value for 2D and one for 3D.  ``ngvisco/solver/NOTES.md`` has the
 measurements behind the defaults.
 """
 
@@ -35,47 +35,55 @@ class SplitOptions:
     """Options of the split solver: its choice, its iteration and its linear systems."""
 
     chosen_from: Pair = (60, 10)
-    """Number of cells above which ``method = "auto"`` takes the split solver, which is then faster
-    (tests/benchmarks)."""
+    """Number of cells above which ``method = "auto"`` takes the split solver; on more cells the split solver
+    is faster (tests/benchmarks)."""
     margin: Positive = 0.1
-    """Largest error, in tolerances, after the last increment has been added, estimated from the contraction;
-    the increment itself has to be below one tolerance."""
+    """Largest estimated error after the last increment has been added, in tolerances.
+
+    The contraction gives the estimate; the last increment itself has to be below one tolerance.
+    """
     slow: Count = 24
     """Number of iterations after which Newton-Krylov takes over."""
     growth: Positive = 4.0
-    """Ratio of an increment to the smallest increment, above which the iterate is given up; the next iterate
-    is half as far from the best iterate."""
+    """An iterate is given up if its increment is longer than the smallest increment by more than this factor;
+    the next iterate is half as far from the best iterate."""
     halvings: Count = 5
     """Number of iterates that one attempt may give up."""
     renewed_after: Count = 30
-    """Cost of a new operator and preconditioner, in GMRES iterations for the flow: they are renewed when the
-    increments have taken more than this number of iterations in addition to those that new ones take. A
-    renewal takes as long as 30 to 65 iterations."""
+    """Cost of a new operator and preconditioner, in GMRES iterations for the flow.
+
+    Operator and preconditioner are renewed when the increments have taken more than this number of iterations
+    in excess of the iterations that new ones would have taken.  A renewal takes as long as 30 to 65
+    iterations.
+    """
     renewed_above: Positive = 0.05
-    """Increment above which operator and preconditioner are renewed; after a smaller increment only
+    """Increment above which operator and preconditioner are renewed; after a smaller increment only the
     hyperviscosity, which changes suddenly, is linearised again."""
     stale_above: Positive = 0.2
     """Ratio of an increment to the one before, above which operator and preconditioner are renewed.  With a
-    steep flow rule such a ratio renews the operator only, and ``renewed_above`` counts tenfold."""
+    steep flow rule such a ratio renews the operator only, and ten times ``renewed_above`` takes the place of
+    ``renewed_above``."""
     bends_above: Positive = 0.03
     """Relative increment of a creep rate field above which operator and preconditioner are renewed, unless
-    the increment before was more than three times as large."""
+    the preceding increment was more than three times as large."""
     rounding: Positive = 1e-8
-    """Increment below which Newton-Krylov does not stop for slow progress: rounding may be the cause."""
+    """Increment below which Newton-Krylov does not stop for slow progress, because rounding may be the
+    cause."""
     flow_iterations: Count = 30
     """Largest number of GMRES iterations for the flow's linear system."""
     direct_up_to: Pair = (3_000, 3_000)
     """Number of unknowns of v up to which the whole velocity tangent is factorised; with more unknowns two
-    levels are faster. Several bodies in 2D have ``direct_at_most`` in its place."""
+    levels are faster.  For several bodies in 2D ``direct_at_most`` takes the place of this number."""
     direct_at_most: Pair = (100_000, 15_000)
-    """Number of unknowns of v up to which the whole tangent is factorised for the rest of a step if
+    """Largest number of unknowns of v with which the whole tangent is factorised for the rest of a step, if
     ``flow_iterations`` with two levels do not solve the flow's system."""
     krylov_below: Positive = 0.05
     """Increment up to which Newton-Krylov takes over.  An attempt with larger increments continues until it
     fails, and the time loop halves the step."""
     penalty_degree: Count = 4
     """Degree of the quadrature rule for the derivative of the hyperviscosity's penalty, for k = 2 on straight
-    cells: exact for p = 4, (P_1 jumps)^4.  For k = 3 and on curved cells the forms' rule is used."""
+    cells; for p = 4 the rule is exact, as jumps are in P_1.  For k = 3 and on curved cells the forms' rule is
+    used."""
 
     def __post_init__(self) -> None:
         require_fields(self)
@@ -88,7 +96,7 @@ class NewtonOptions:
     Parameters
     ----------
     tolerance : float
-        The iteration ends when a relative increment is below it; that increment is still added.
+        The iteration ends when a relative increment is below ``tolerance``; this increment is still added.
     max_iterations : int
         Number of residual evaluations after which an attempt to solve a step has failed.
     refresh : float
@@ -104,12 +112,12 @@ class NewtonOptions:
         use the multigrid.
     method : str
         "coupled" solves for all unknowns at once (small meshes), "split" for the velocity, with the fields
-        as its functions (large meshes).  "auto" chooses one of them by the mesh, and tries the other one
-        if a step is not solved.  Both solve the same equations.
+        as functions of the velocity (large meshes).  "auto" chooses one of the two by the mesh, and tries the
+        other one if a step is not solved.  Both solve the same equations.
     threads : int or None
         Number of threads that share the cells in the split solver.  The default is the environment's
-        NGVISCO_THREADS, or all processors, divided equally among the ranks.  A state's bits do not depend on
-        this number.
+        NGVISCO_THREADS, or all processors, divided equally among the ranks.  The bits of a state do not
+        depend on the number of threads.
 
     Raises
     ------

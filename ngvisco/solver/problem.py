@@ -1,5 +1,4 @@
-"""The problem that a nonlinear solver is given, the norm of the increments, and the solution that the solver
-returns.
+"""Input and output of a nonlinear solver: the problem, the norm of the increments, and the solution.
 
 A solver is made for equations R(u) = 0 whose parameters a ``Problem`` sets. A failed attempt also returns a
 ``Solution``, with the reason; only a fault of the program raises an exception.
@@ -14,8 +13,8 @@ it makes in the step; s_u is the unknown's scale, 0 for rho and 1 for z. The oth
 the evolving ones. The trace of a density that diffuses by an r-Laplacian is a nonlinear function, and counts
 like rho. A creep rate field Pi changes z by tau Pi only, so that a short step does not determine Pi: with nu
 > 0 Pi counts by s |dPi|_2/(|Pi|_2 + |dPi|_2 + f sqrt(n)/tau). A variable with an ``own_scale``, as the
-entropy, also counts by itself. f is ``FLOOR`` and s is ``SHARE``; a stalled iteration is judged with the
-larger ``COARSE_FLOOR``, except for Pi.
+entropy, also counts by itself. f is ``FLOOR`` and s is ``SHARE``; a stalled iteration is judged with f =
+``COARSE_FLOOR``, which is larger, except for Pi.
 """
 
 from __future__ import annotations
@@ -32,19 +31,20 @@ from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
 
 FLOOR = 1e-9
-"""The floor f: it is so small that the iteration also resolves small strains and velocities, as the ledger
-requires."""
+"""The floor f of the norm, so small that the iteration also resolves small strains and velocities, as the
+ledger requires."""
 COARSE_FLOOR = 1e-3
-"""Floor by which a stalled iteration is judged: near a state of rest ``FLOOR`` is below rounding."""
+"""The floor f with which a stalled iteration is judged, because near a state of rest ``FLOOR`` is below
+rounding."""
 SHARE = 1e-4
 """Weight of the relative increment of a creep rate field; with the weight 1 steps stall."""
 
 
 class BlockNorm:
-    """The norm of the module's docstring.
+    """The norm |d| of an increment, see the module's docstring.
 
     ``ranges`` has the blocks of the coefficient vector, and ``units`` s_u of the blocks that count, h/tau for
-    "v".  ``shared`` blocks count by ``SHARE`` times their relative increment.  ``exchange`` belongs to the
+    "v".  A ``shared`` block counts by ``SHARE`` times its relative increment.  ``exchange`` belongs to the
     vectors' space, if ranks may share the space.
     """
 
@@ -68,12 +68,12 @@ class BlockNorm:
         self._counts = {name: count(ranges[name]) for name in units}
 
     def __call__(self, increment: BaseVector, *states: BaseVector, coarse: bool = False) -> float:
-        """Return |increment|; in each block the largest of ``states`` gives the scale."""
+        """Return |increment|; the scale of a block is that of the largest of ``states``."""
         return self.sizes(increment, *states, coarse=coarse)[0]
 
     def sizes(self, increment: BaseVector, *states: BaseVector, coarse: bool = False) -> tuple[float, float]:
-        """Return |increment|, and the relative increment of the shared block, in [0, 1]; 0 without such a
-        block."""
+        """Return |increment|, and the relative increment of the shared block, in [0, 1], which is 0 without a
+        shared block."""
         sizes, turned, floor = [], 0.0, COARSE_FLOOR if coarse else FLOOR
         vectors = [u.FV().NumPy() for u in (increment, *states)]
         parts = [[vector[places] for vector in vectors] for places in self._own.values()]
@@ -88,7 +88,7 @@ class BlockNorm:
                 else:
                     scale = max(of_states) + floor * length
                     sizes.append(norm / scale if scale != 0 else 0.0)
-        # numpy's maximum passes NaN on, Python's may drop it
+        # NumPy's maximum passes NaN on, Python's may drop a NaN
         return float(np.max(sizes)), float(turned)
 
 
@@ -133,7 +133,7 @@ class Solution:
 def unconverged(
     status: Status, history: Sequence[NewtonIteration], solver: str, tolerance: float, remedy: str
 ) -> Solution:
-    """The ``Solution`` of an attempt whose increments stayed above ``tolerance``."""
+    """The ``Solution`` of a failed attempt, whose increments stayed above ``tolerance``."""
     last = history[-1].increment if history else np.inf
     ended = f"{status.value}; {len(history)} iterations, last increment {last:.1e}, wanted {tolerance:.0e}"
     return Solution(status, tuple(history), f"{solver} did not converge ({ended}): take {remedy}")
@@ -169,13 +169,13 @@ class Problem(Protocol):
 
 @dataclass(frozen=True)
 class Interval:
-    """A Rothe step in time, s: its length, its begin and end, and the interval over which loads are averaged.
+    """The times of a Rothe step, s: length, begin and end, and the interval over which loads are averaged.
 
     The average of loads has the weight 1 + 12 ``loads_tilt`` (s - 1/2), where s runs from 0 to 1 over the
     interval of loads.
 
-    For the paper's scheme ``tau`` = end - begin, and loads are averaged from begin to end. A stage of
-    another scheme may start from a combination of states, which has no time of its own: ``begin`` is then
+    For the paper's scheme ``tau`` = end - begin, and loads are averaged from begin to end. A stage of another
+    scheme may start from a combination of states, which has no time of its own; for such a stage ``begin`` is
     the time of the state with which the iteration starts.
     """
 
@@ -187,7 +187,8 @@ class Interval:
     loads_tilt: float = 0.0
 
     def shortened(self, fraction: float) -> Interval:
-        """The step with a ``fraction`` of the length, whose solution is a start value for the whole step."""
+        """A step of a ``fraction`` of the length; the shorter step's solution is a start value for the whole
+        step."""
         end = self.end if fraction == 1.0 else self.begin + fraction * (self.end - self.begin)
         over = fraction * self.loads_over
         return Interval(fraction * self.tau, self.begin, end, self.loads_from, over, self.loads_tilt)

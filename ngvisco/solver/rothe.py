@@ -30,20 +30,20 @@ _FACTORISED_AT = "state", "state_old", "lagged"
 """Names of the states on which a factorisation depends; a checkpoint stores all of their unknowns."""
 
 _BY_SPLIT = "factorised_by_split"
-"""Number of a checkpoint: 1 if the state of the last factorisation has only the unknowns on which the split
-solver iterates."""
+"""Name of a checkpoint's number, which is 1 if the state of the last factorisation has only the unknowns on
+which the split solver iterates."""
 
 _TOO_FAST = 0.8
-"""Courant number to which the split solver reduces a faster start value: if tau grad v is above one, the
-linearised rates of the variables lead away from the solution."""
+"""The split solver scales a faster start value of the velocity down to this Courant number: if tau grad v is
+above one, the linearised rates of the variables lead away from the solution."""
 
 _SHORTEST, _FACTOR, _LENGTHS = 0.25 / 8**3, 4.0, 20
-"""Attempts with steps of growing length: the first fraction of the step, the factor between two fractions,
-and the largest number of attempts."""
+"""Attempts with steps of growing length: first length as a fraction of the step, factor between two lengths,
+and largest number of attempts."""
 
 _TOO_FAR = 0.5
-"""Change of the velocity, |dv| tau/h, above which extrapolated values are not tried, as after the first of
-several long steps."""
+"""Extrapolated values are not tried if the extrapolation changes the velocity by more than this |dv| tau/h,
+as after the first of several long steps."""
 
 _DAMPED = "from the last state, damped"
 """Name of the last attempt for flow rules. In a body that yields with little inertia, undamped increments
@@ -168,8 +168,8 @@ class RotheSolver:
     def solve(self, interval: Interval) -> list[Attempt]:
         """Solve the step from ``step.old``; ``step.state``, the start value, becomes the solution.
 
-        The step's history is returned; its last entry is the solution.  Raises StepError if no solution with
-        positive rho and J is found.  The state is then the start value again, and the error has the history.
+        The step's history is returned; its last entry is the solution.  Raises StepError, with the history,
+        if no solution with positive rho and J is found; the state is the start value again.
         """
         self.start.data = self.step.state.vec
         self.step.stresses.begin()
@@ -189,7 +189,7 @@ class RotheSolver:
             else:
                 if self.method == "split" or not self._grows(interval, attempts):
                     failed = [attempt.solution for attempt in attempts if not attempt.solution.converged]
-                    reason = failed[-1].reason  # steps of growing length may have been solved
+                    reason = failed[-1].reason  # the last attempts may be shorter steps that were solved
                     notes = dict.fromkeys(note for note in self._met if note not in reason)
                     raise StepError("; ".join([reason, *notes]), attempts)
         except BaseException:  # an interrupt, too, must not leave an iterate behind
@@ -212,7 +212,8 @@ class RotheSolver:
             yield _DAMPED, guess
 
     def _grows(self, interval: Interval, attempts: list[Attempt]) -> bool:
-        """Whether steps of growing length lead to the whole step, each solution being the next start value.
+        """Try steps of growing length, where each solution is the next start value; return whether the whole
+        step is solved.
 
         Steep flow rules, and heat that leaves in long steps, need such start values.
         """
@@ -264,11 +265,11 @@ class RotheSolver:
         self.newton.reset()
 
     def state_dict(self) -> tuple[dict[str, float], dict[str, Any]]:
-        """Data of earlier steps that the next step depends on, among them the state of the last
+        """Data of earlier steps on which the next step depends, among them the state of the last
         factorisation.
 
         A resumed run factorises at this state again, so that it continues bit for bit like the run that wrote
-        the data.  The states are not copies; NumPy converts each to an array of all unknowns.
+        the data.  The states are not copies; NumPy converts each state to an array of all unknowns.
         """
         numbers, states = self.extrapolation.state_dict()
         numbers |= self.turns.state_dict()
@@ -316,7 +317,7 @@ class RotheSolver:
         return self.step.layout.ranges["z"] if name == "lagged" else slice(None)
 
     def remember(self, interval: Interval) -> None:
-        """Store the present state, in a step over ``interval``, as the state of the last factorisation."""
+        """Keep the present state, of a step over ``interval``, as the state of the last factorisation."""
         self._factorised_at, self._stresses = interval, self.step.stresses.frozen()
         layout, newton, vectors = self.step.layout, self.newton, self._vectors()
         names = newton.unknowns.names if isinstance(newton, Split) else layout.names
@@ -348,7 +349,8 @@ class RotheProblem(Problem):
     interval: Interval
 
     def pose(self) -> None:
-        """Set the step's parameters, the time, the walls' velocities at this time, and the norm's units."""
+        """Set the step's parameters, the time, the velocities of walls at the time, and the units of the
+        norm."""
         solver, at = self.solver, self.interval
         solver.step.context.set_step(at.tau, at.end, at.loads_from, at.loads_over, at.loads_tilt)
         solver.step.moving_walls.set_values()
@@ -369,7 +371,7 @@ def _norm(step: Step, exchange: Exchange) -> BlockNorm:
     """The norm of the step's increments."""
     units = {name: step.layout.unknowns[name].scale for name in step.layout.evolving}
     if "rho_delta_hat" in step.layout.ranges:
-        units["rho_delta_hat"] = 0.0  # where the density is flat its equation is cubic, without a linear part
+        units["rho_delta_hat"] = 0.0  # for a uniform density this equation is cubic
     shared = {"Pi"} & set(step.layout.ranges)
     units |= dict.fromkeys(shared, 0.0)
     ranges, states = dict(step.layout.ranges), step.layout.states

@@ -14,17 +14,17 @@ from ngvisco.parallel.communicator import Communicator
 from ngvisco.reduced.unknowns import Unknowns
 
 FARTHEST = 3.0
-"""Largest time from the last solution to the step's end, relative to the time between the two solutions."""
+"""Largest ratio of the time from the last solution to the step's end, to the time between the two
+solutions."""
 
 LARGEST_CHANGE = 0.5
-"""Largest relative change of density and elastic variables: the limit keeps them in the domain of the
-energy."""
+"""Largest relative change of density and elastic variables by extrapolation; it keeps them in the domain of
+the energy."""
 
 
 class KeptState:
-    """Coefficients of some unknowns of a state, by name; NumPy converts it to an array of the whole state.
-
-    The other unknowns are functions of those that are kept, and have the coefficients 0 in the array.
+    """Coefficients of some unknowns of a state, by name; NumPy converts a kept state to an array of the whole
+    state. The other unknowns are functions of the kept ones, and have the coefficients 0 in the array.
     """
 
     def __init__(self, layout: StepLayout, values: Mapping[str, np.ndarray]) -> None:
@@ -73,7 +73,7 @@ class Extrapolation:
         self._kept = [*self._kept[-1:], (time, KeptState.of(self.step.layout, state, self._names))]
 
     def drop(self) -> None:
-        """Forget the kept solutions, as the next state will not follow from them."""
+        """Forget the kept solutions, because the next state will not follow from them."""
         self._kept.clear()
 
     def guess(self, time: float) -> BaseVector | None:

@@ -1,6 +1,6 @@
 """Chooses the solver that takes the steps: one at the start, and with "auto" the other one after a failure.
 
-If the present solver does not solve a step, however short, the other one takes the next ``WAIT`` steps. The
+If the present solver does not solve a step of any length, the other one takes the next ``WAIT`` steps. The
 number of these steps doubles after each return to the first solver.
 """
 
@@ -21,7 +21,7 @@ WAIT = 16
 
 AT_MOST = (300_000, 60_000)
 """Largest number of unknowns after condensation, in 2D and in 3D, with which the coupled solver takes over
-from the split one: its factorisation takes some seconds and a few GB."""
+from the split one; a factorisation of this size takes some seconds and a few GB."""
 
 
 class Turns:
@@ -64,7 +64,8 @@ class Turns:
         )
 
     def accept(self) -> None:
-        """Count an accepted step; return to the first solver when it has waited for its number of steps."""
+        """Count an accepted step; return to the first solver when the other one has taken its number of
+        steps."""
         if self.method == self.first:
             return
         self._left -= 1
@@ -87,7 +88,7 @@ class Turns:
 
 
 def split_obstacle(step: Step, ranks: Communicator) -> str | None:
-    """The reason why the split solver cannot take a step; None without such a reason."""
+    """The reason why the split solver cannot take a step; None if it can."""
     if not ranks.all(is_simplicial(step.mesh)):
         return "the split solver needs a mesh of triangles or tetrahedra only"
     return source_obstacle(step) or term_obstacle(step)

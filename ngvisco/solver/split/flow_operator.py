@@ -5,12 +5,12 @@ carries this change (``TransportSweeps``), and the resulting dz changes the elas
 Schur complement of Newton's matrix when z is eliminated. ``ngvisco.solver.split.point_tangent`` has the
 fields' response to an increment at a point.
 
-Element matrices are integrated by a coarse rule, except inertia: the mass matrix is singular for a rule that
-does not determine all of P_k.  Each cell has three element matrices: from v to v, from v to the fields'
-rows, and from the fields to v.  A product with the operator therefore costs three small dense products a
-cell, whatever the number of points.  In a cell, an increment of v is ordered by components and then
-functions, (dim, local), rows of v by functions and then components, (local, dim), and fields by functions
-and then components, (q, n): the products that form the matrices give these orders.
+Element matrices are integrated by a coarse rule, except the mass matrix, which would be singular by a rule
+that does not determine all of P_k.  Each cell has three element matrices: from v to rows of v, from v to rows
+of the fields, and from the fields to rows of v.  A product with the operator therefore takes three small
+dense products a cell, independently of the number of points.  The order of unknowns in a cell follows from
+the products that form the matrices.  An increment of v is ordered by components and then functions, (dim,
+local).  Rows of v, (local, dim), and fields, (q, n), are ordered by functions and then components.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class FlowSchurComplement:
         u, self.op = residual.unknowns, points.op
         op, self.dim, self.components = self.op, residual.step.mesh.dim, points.components
         self.nv, self.size = u.slices["v"].stop, u.flow_slice.stop
-        """Number of unknowns of v, and number of unknowns of the flow without the normal derivatives."""
+        """Number of unknowns of v, and number of unknowns of the flow without normal derivatives."""
         self.gradients = residual.rates.tensors.gradients
         """Number of entries of grad v on which the fields' rates depend."""
         self.by_forms: RestrictedForm | None = None
@@ -55,20 +55,21 @@ class FlowSchurComplement:
         self.leading, self.inertial = residual.couplings.of_gradients(), residual.couplings.of_inertia()
         self._assembled = ElementAssembly(op.v.unknowns, op.v.width)
         self.cells, self.local, self.functions = op.v.cells, op.v.local, op.z.local
-        # a periodic strip of one cell has an unknown twice: its blocks are filled up with zeros
+        # in a periodic strip of one cell the cell has an unknown twice; zeros fill up its blocks
         shapes = np.stack([part.blocks.reshape(-1, self.local) for part in (op.v, *op.slopes("v"))], axis=1)
         self._shapes = shapes.astype(precision.SINGLE)  # (points, 1 + d, local)
         self._scatter = op.v.scatter.astype(precision.SINGLE)
         rows, of_fields = self.local * self.dim, self.functions * self.components
         self._of_velocity = np.empty((self.cells, rows + of_fields, rows), precision.SINGLE)
-        """The rows of ``to_velocity`` above those of ``to_fields``: one product gives both."""
+        """The rows of ``to_velocity`` and below them the rows of ``to_fields``, so that one product gives
+        both."""
         self.to_velocity, self.to_fields = self._of_velocity[:, :rows], self._of_velocity[:, rows:]
         self.from_fields = np.empty((self.cells, rows, of_fields), precision.SINGLE)
 
     def update(self, at: Evaluation, everything: bool = True) -> None:
         """Linearise at an evaluation.
 
-        Without ``everything`` only hyperviscosity and a nonlinear density equation are linearised.
+        Unless ``everything``, only the hyperviscosity and a nonlinear density equation are linearised.
         """
         self.sweep.linearise()
         if self.derivative is not None and at.hyper is not None:
@@ -122,7 +123,7 @@ class FlowSchurComplement:
         left = np.matmul(slopes.transpose(0, 2, 1), force.reshape(count, slopes.shape[1], d * n))
         back = np.matmul(z_tests, left.reshape(cells, per, local * d * n))
         back = back.reshape(cells, q, local * d, n)
-        for of_z, of_mean in self.points.of_means(p):  # rows of v also depend on z through means over cells
+        for of_z, of_mean in self.points.of_means(p):  # means over cells add a dependence of rows of v on z
             size = of_z.shape[1]
             tested = shapes[:, 0, :, None, None] * (of_mean * op.weights[:, None, None])[:, None]
             rows = tested.reshape(cells, per, local * d, size).sum(axis=1)
@@ -153,7 +154,7 @@ class FlowSchurComplement:
         matrix = None if self.by_forms is None else self.by_forms.jacobian()
         if "Pi" not in self.residual.unknowns.velocity_block:
             return matrix
-        # the change of M with a creep rate field Pi in a step; the coupling to v is left out
+        # the change of M by an increment of a creep rate field Pi; the coupling to v is left out
         first, values = self.gradients, self.op.of("Pi").matrix
         C = self.points.stiffness()[:, first:, first:] * self.op.weights[:, None, None]
         size = C.shape[1]
@@ -164,7 +165,8 @@ class FlowSchurComplement:
         return creep if matrix is None else (matrix + creep).tocsr()
 
     def __call__(self, flow: np.ndarray) -> np.ndarray:
-        """Rows of the flow's unknowns and of a from their increment; each rank has the share of its cells."""
+        """Rows of the flow's unknowns and of a from an increment ``d`` of these; each rank has the share of
+        its cells."""
         dv, result = flow[: self.nv].reshape(self.dim, -1), np.zeros(len(flow))
         if self.rest is not None:
             result[: self.size] = self.rest @ flow[: self.size]
@@ -172,7 +174,7 @@ class FlowSchurComplement:
             result[: self.nv] += self._with_fields(dv).ravel()
             return result
         x, hyper = np.concatenate([dv, flow[self.size :].reshape(self.dim, -1)], axis=1), self.derivative
-        # only this thread may sum over ranks, which the fields' response does: it calls the first function
+        # the fields' response sums over ranks, which only this thread may do: it calls the first function
         rows, of_x = self.residual.at_once(lambda: self._with_fields(dv), lambda: hyper(x))
         rows += of_x[:, : dv.shape[1]]
         result[: self.nv] += rows.ravel()
@@ -220,7 +222,7 @@ class FlowSchurComplement:
         return rows
 
     def fields_rows(self, dv: np.ndarray, dPi: np.ndarray | None) -> np.ndarray:
-        """The change of the rows of z, (cells' unknowns, n), by increments of v, (dim, .), and Pi."""
+        """The change of the rows of z, (cells' unknowns, n), by increments of v, (dim, .), and of Pi."""
         rows = np.matmul(self.to_fields, self._gathered(dv)).reshape(-1, self.components)
         if dPi is not None and self.points.columns is not None:
             values = at_points(self.points.columns[:, :, self.gradients :], dPi)
@@ -252,9 +254,9 @@ class FlowSchurComplement:
 
         ``at`` is the evaluation of the last ``update``.  The transport is replaced by its block in each cell,
         without the neighbours' contribution, so that the tangent is a sum over the cells.  The tangent's
-        unknowns are those of the flow, followed by the normal derivatives that ``hyper`` keeps. All other
+        unknowns are the flow's unknowns, followed by the normal derivatives that ``hyper`` keeps.  All other
         normal derivatives are a = E v: the mean of both sides' d_n v, weighted by the hyperviscosity's
-        coefficient. Each rank has the share of its cells.  If v is the only unknown with rows, entries have
+        coefficient.  Each rank has the share of its cells.  If v is the only unknown with rows, entries have
         the precision ``dtype``.
         """
         d, hyper_tangent = self.dim, None

@@ -1,10 +1,10 @@
 """The hyperviscosity's derivative in a direction of (v, a), for the flow's linear system, and its tangent.
 
-In a cell the law reads x = (v, a) through B x: the coefficients of Hs, and the jumps at the sides' points.
-One small dense product gives B x for all components of v, (cells, dim, rows).  Arrays have the points last,
-so that sums run at the speed of memory. The rows are B^T times the law's derivative. In the velocity tangent
-a is eliminated, except on facets between ranks. On these facets each rank has one side, and a stays an
-unknown, so that the matrix is a sum over the ranks' cells.
+In a cell the law depends on x = (v, a) through B x: the coefficients of Hs, and the jumps at the sides'
+points. One small dense product gives B x for all components of v, (cells, dim, rows).  Arrays have the points
+last, so that sums run at the speed of memory. The rows of (v, a) are B^T times the law's derivative by B x.
+In the velocity tangent a is eliminated, except on facets between ranks. On these facets each rank has one
+side, and a stays an unknown, so that the matrix is a sum over the ranks' cells.
 
 The derivative is written by hand since complex increments of the rows take 3 to 5 times as long
 (``tests/benchmarks/kernels.py``); ``tests/solver/test_split_solver.py`` compares the derivative with the
@@ -50,8 +50,11 @@ class HyperDerivative:
             self._s_points, self._s_sides = (square.astype(self.dtype) for square in squares)
 
     def _together(self) -> LocalMatrix:
-        """B of the module's docstring: a cell's coefficients of Hs, component by component, then its
-        jumps at the nodes of its sides."""
+        """The matrix B of the module's docstring.
+
+        The rows of a cell are the coefficients of Hs, component by component, then the jumps at the nodes of
+        the cell's sides.
+        """
         parts = (self.hyper.lift.matrix, self.sides.jump.at_nodes)
         numbers = np.arange(sum(part.shape[0] for part in parts))
         of_parts = np.split(numbers, [parts[0].shape[0]])
@@ -70,7 +73,7 @@ class HyperDerivative:
         self._unit = unit = largest(c)
 
         def rounded(values: np.ndarray, unit: float) -> np.ndarray:
-            """Scale by ``unit``, because numbers in SI units may exceed single precision."""
+            """Scale by ``unit``, because numbers in SI units may exceed the range of single precision."""
             return (values / unit).astype(self.dtype)
 
         self._c = rounded(c, unit)[:, None, None]
@@ -121,7 +124,7 @@ class HyperDerivative:
         return np.float64(self._unit * length) * self.of_component.tested(loads).T
 
     def _bend(self, dH: np.ndarray, dj: np.ndarray, of_H: np.ndarray, of_j: np.ndarray) -> None:
-        """Add the contributions of the changes of s = P |Hs|^2 and q = |j|^2 to the loads of Hs and j."""
+        """Add to the loads of Hs and j the contributions of changes of s = P |Hs|^2 and q = |j|^2."""
         at_points, at_sides = self._s_points, self._s_sides
         w = (self.weights / self._volume).astype(self.dtype)
         dq = 2 * np.einsum("cip,cip->cp", self._j, dj)
@@ -143,8 +146,8 @@ class HyperDerivative:
     def tangent_coefficients(self, at: HyperValues) -> tuple[np.ndarray, np.ndarray]:
         """Coefficients of |Hs|^2, (cells,), and of the penalty, (sides' points,), for ``HyperTangent``.
 
-        Both are c + (c - mu_1)(p - 2)/2.  The second derivative of |.|^p/p couples the components of v; the
-        coefficient is the mean of its smallest and its largest eigenvalue.
+        The second derivative of |.|^p/p couples the components of v.  Each coefficient is the mean of this
+        derivative's smallest and largest eigenvalue, c + (c - mu_1)(p - 2)/2.
         """
         h, law, sides, values = self.hyper, self.hyper.law, self.sides, self._on_sides(at)
         in_cells, z_on_sides = h.tensors(at.z), values.z_tensors
@@ -202,7 +205,7 @@ class HyperTangent:
 
     def update(self, at: HyperValues) -> sp.csr_matrix:
         """Form E and the facets' blocks at some values; return the matrix of v and the kept a."""
-        # the maps of the last update are freed before the next ones take memory
+        # the last update's maps are freed before new maps take memory
         self.E_t = self.of_velocity = self.of_rows = Rounded(sp.csr_matrix((0, 0)))
         cell, penalty = self.derivative.tangent_coefficients(at)
         weights, jumps = self.derivative.side_weights, self.derivative.sides.jump
@@ -224,7 +227,8 @@ class HyperTangent:
         return matrix
 
     def bordered(self, matrix: sp.csr_matrix, tangent: sp.csr_matrix, dim: int) -> sp.csr_matrix:
-        """Append rows and columns of the kept a to a matrix of the flow's unknowns, v's components first.
+        """Append rows and columns of the kept a to ``matrix``, whose unknowns are the flow's, beginning with
+        the components of v.
 
         ``tangent`` is the matrix of one component of v and of the kept a.
         """

@@ -4,10 +4,9 @@ Without convection and fluxes through facets the fields follow
 
     dz = tau (1 - tau K)^{-1} (d rate/dX) X,    K = d(rate + creep + terms of z)/dz.
 
-With the elastic force zeta : rate(z; X) a point has the stiffness
-C = tau (zeta : T + (d rate/dX)^T phi'') (1 - tau K)^{-1} (d rate/dX), which stress or creep make
-nonsymmetric.  Terms integrated by the collocated rule (``Quadrature.collocated``), as nonlinear creep,
-contribute to K at their points.
+With the elastic force zeta : rate(z; X) a point has the stiffness C = tau (zeta : T + (d rate/dX)^T phi'') (1
+- tau K)^{-1} (d rate/dX), which stress or creep make nonsymmetric.  Terms integrated by the collocated rule
+(``Quadrature.collocated``), as nonlinear creep, contribute to K at the points of this rule.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ class _AtPoints:
     """K, (points, n, n)."""
 
     def __init__(self, residual: ReducedResidual, terms: CellTerms, asked: list[PointTerm]) -> None:
-        """``asked`` are the terms whose rows of z, or stresses, depend on z."""
+        """``asked`` are the terms whose stresses or rows of z depend on z."""
         self.residual, self.terms, self.op, self._asked = residual, terms, terms.op, asked
         self.components = residual.step.layout.states.size
         self.slope = PointwiseSlope(residual.step, self.op.points)
@@ -52,11 +51,12 @@ class _AtPoints:
     def _slopes(
         self, read: Callable[[Fields, int], dict[str, np.ndarray]], u: Fields, curvature: np.ndarray
     ) -> Iterator[tuple[np.ndarray, dict[str, np.ndarray]]]:
-        """Yield the derivatives by z of what ``read`` returns; zeta changes with z by phi''.
+        """Yield the derivatives by z of the arrays that ``read`` returns, where d zeta = phi''(z) dz.
 
-        Each item has numbers of z's components and the derivatives by them; all other derivatives vanish.
-        ``read`` takes the fields at points repeated several times, and this number.  A random increment of
-        the components of single branches or bodies tests whether anything depends on them.
+        Each item has the numbers of some components of z, and the derivatives by these components; all other
+        derivatives vanish.  The arguments of ``read`` are fields at repeated points, and the number of
+        repetitions.  A random increment of the components that belong to one branch or body tests whether the
+        arrays depend on such components.
         """
         is_own, every = self.slope.owner >= 0, np.eye(self.components)
         probe = np.random.default_rng(0).standard_normal((1, self.components, 1)) * is_own[:, None]
@@ -100,13 +100,14 @@ class _AtPoints:
 
 
 class CollocatedTangent(_AtPoints):
-    """The tangent of terms with a collocated rule, at its points."""
+    """The tangent of terms with a collocated rule, at the points of this rule."""
 
     def __init__(self, residual: ReducedResidual, terms: CellTerms) -> None:
         super().__init__(residual, terms, residual.couplings.collocated())
 
     def update(self, at: Evaluation) -> None:
-        """Form K from the slopes of the flow rules, linearised anew at their linearisation stresses."""
+        """Form K from the slopes of the flow rules, which are linearised anew at their linearisation
+        stresses."""
         self.tau = self.residual.step.context.tau.Get()
         self.residual.step.stresses.linearise()
         u = self.terms.fields(at.coefficients)
@@ -116,8 +117,7 @@ class CollocatedTangent(_AtPoints):
             self.rate_slope[:, :, some] -= slopes["z"].transpose(2, 0, 1)
 
     def follow(self, dz: np.ndarray, length: float) -> None:
-        """Move the linearisation stresses along with ``length`` times an increment of z, coefficients (n,
-        .)."""
+        """Change the linearisation stresses by ``length`` times the increment dz, coefficients (n, .)."""
         values = self.op.z(dz)
         self.residual.step.stresses.follow_fields(values, at_points(self.curvature, values), length)
 
@@ -149,23 +149,24 @@ class PointTangent(_AtPoints):
         self._creeps = bool(rates.mechanisms) and rates.is_local and not rates.creep_is_collocated
         self.parts = [(part.cells, terms.part(part.cells)) for part in residual.parts]
         self._stores = len(self.parts) == 1
-        """Whether resolvents are stored in any case: those of one part of a mesh take little memory."""
+        """Whether all resolvents are stored, because the mesh is one part and they take little memory."""
         n, X = self.components, len(rates.tensors.constant)
         kind = precision.SINGLE if self.collocated is None else np.float64
         self.rate_slope = np.zeros((count, n, n), kind)
         self._kept: dict[int, tuple[int, Resolvent | None]] = {}
-        """Number of terms of the resolvent's series, and the resolvent if it is stored, by a part's first
-        cell."""
+        """Number of terms of the resolvent's series, and the resolvent if it is stored, by the first cell of
+        a part."""
         self.force: np.ndarray | None = None
         self.columns: np.ndarray | None = None
         self._of_mechanisms = [self._relaxed(i) for i in range(len(rates.mechanisms))]
-        """The components that each mechanism relaxes, and those on which its driving stress depends."""
+        """Numbers of the components that each mechanism relaxes, and of the components on which its driving
+        stress depends."""
         self._weighing = [term for term in self._asked if term.weighs]
         self._means = list(residual.couplings.of_kernel["cell means"]) if self._weighing else []
         self.weight: np.ndarray | None = None
         """Derivative by z of the inertia and the weight in the rows of v, (points, d, n)."""
         if self.collocated is not None or "Pi" in residual.unknowns.velocity_block:
-            # steep rules and creep rate fields need both at the points
+            # steep rules and creep rate fields need the arrays at all points
             self.force, self.columns = np.zeros((count, X, n)), np.zeros((count, n, X))
             if self._weighing:
                 self.weight = np.zeros((count, rates.dim, n))
@@ -205,12 +206,15 @@ class PointTangent(_AtPoints):
         self, terms: CellTerms, u: Fields, columns: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
         """K, (points, n, n), the force's derivatives, (points, X, n), and the derivatives ``beside`` of
-        ``PointValues``; zeta changes with z by phi''.
+        ``PointValues``.
+
+        All are derivatives by z with d zeta = phi''(z) dz.
 
         Rates are products with constant tensors; creep depends on z through its driving stress, whose
-        derivatives ``force`` has.  What else creep reads of z and zeta, and terms that read them, are
-        differentiated by complex increments.  To leading order the increment of -(w . grad z) : zeta, with
-        its part on facets, is div w times phi'(z) : dz; the flux of densities is approximated alike.
+        derivatives ``force`` has.  Other dependences of creep on z and zeta, and terms that depend on z or
+        zeta, are differentiated by complex increments.  To leading order the increment of -(w . grad z) :
+        zeta, with its part on facets, is div w times phi'(z) : dz; the flux of densities is approximated
+        alike.
         """
         rates, curvature, z, zeta = self.residual.rates, self._curvature(u), u.z.value, u.zeta.value
         g, plane = rates.tensors.gradients, rates.dim**2
@@ -250,7 +254,8 @@ class PointTangent(_AtPoints):
         return K, force, beside
 
     def _relaxed(self, mechanism: int) -> tuple[np.ndarray, np.ndarray]:
-        """Numbers of the components that a mechanism relaxes, and of those that its driving stress reads."""
+        """Numbers of the components that a mechanism relaxes, and of the components that the mechanism's
+        driving stress reads."""
         rates, owner, every = self.residual.rates, self.slope.owner, np.arange(self.components)
         where = rates.components_of(mechanism)
         parts = [rates.tensors, *([] if rates.weighed is None else [rates.weighed])]
@@ -263,7 +268,8 @@ class PointTangent(_AtPoints):
         return np.flatnonzero(is_relaxed), np.flatnonzero(is_read)
 
     def _creep_at_stress(self, u: Fields) -> Callable[[Fields, int], dict[str, np.ndarray]]:
-        """The function, for ``_slopes``, of all Pi at changed fields with the Mandel stresses of ``u``."""
+        """The function, for ``_slopes``, that returns all Pi at changed fields with the Mandel stresses of
+        ``u``."""
         rates = self.residual.rates
         stresses = [rates.mandel(u, mechanism).value for mechanism in rates.mechanisms]
 
@@ -277,8 +283,7 @@ class PointTangent(_AtPoints):
         return read
 
     def _creep_by_stress(self, u: Fields) -> list[np.ndarray]:
-        """Derivatives of each mechanism's Pi by d(zeta : rate)/dPi, (points, p, p): through the driving
-        stress."""
+        """Derivatives of each mechanism's Pi by the driving stress d(zeta : rate)/dPi, (points, p, p)."""
         rates, size = self.residual.rates, self.residual.rates.creep_space.size
         points, slopes = u.z.value.shape[1], list[np.ndarray]()
         units = rates.mandel_of(np.eye(size))
@@ -312,7 +317,8 @@ class PointTangent(_AtPoints):
         return self.tau * self.force @ (resolvent @ self.columns)
 
     def _resolvent(self, cells: slice) -> Resolvent:
-        """The resolvent of some cells; it is stored if the mesh is one part, or no series replaces it."""
+        """The resolvent of some cells, which is stored if the mesh is one part or if no series replaces the
+        resolvent."""
         groups = self._groups(cells)
         tested = self.tested(cells, groups)
         if self.collocated is not None:
@@ -330,8 +336,8 @@ class PointTangent(_AtPoints):
         components.
 
         If the rate of a branch depends on another branch, or the rate of a shared component on a branch,
-        there is one group of all components. Otherwise products of matrices keep each group's rows and
-        columns to themselves.
+        there is one group of all components.  Otherwise a product of matrices does not mix the groups' rows
+        and columns.
         """
         owner, every = self.slope.owner, np.arange(self.components)
         if owner.max(initial=-1) < 1:
@@ -348,9 +354,9 @@ class PointTangent(_AtPoints):
         """Return (1 - tau P K)^{-1} dz for coefficients dz, both (cells' unknowns, n); P projects onto the
         fields' space.
 
-        The resolvent acts on coefficients, not on values at points: tau K may be large at single points of
-        a cell, where matter yields.  On a mesh of several parts, where tau P K is small, its series replaces
-        the cells' matrices, which would take more memory.
+        The resolvent acts on coefficients, not on values at points: tau K may be large at single points of a
+        cell, where matter yields.  On a mesh of several parts, where tau P K is small, a series replaces the
+        cells' matrices, which would take more memory.
         """
         op, n, result = self.op.z, self.components, np.empty(dz.shape, self.rate_slope.dtype)
         for cells, _ in self.parts:

@@ -1,12 +1,12 @@
 """Computes P^{-1} R, the split solver's increment of all unknowns.
 
-It solves the flow's linear system, in which sweeps of the transport give the fields; then, with the increment
-of the velocity, the fields' linear equations. For dz these are T dz - (K dz, .) = rows, with the transport T
-(``TransportSweeps``) and the derivative K of rates and creep (``PointTangent``); the equation for drho has
-no K. Sweeps, followed by (1 - tau K)^{-1} in every cell, invert T - K up to tau^2 (products of T and K) and
-the sweeps' remainder. Sweeps are accurate if Courant number and strain of a step are below a half. If either
-is above one, even in a single cell, as at a wall that starts to move at once, they diverge, and serve only
-as a preconditioner of GMRES.
+First P^{-1} solves the flow's linear system, in which sweeps of the transport give the fields.  Then P^{-1}
+solves the fields' linear equations with the increment of the velocity. The equations for dz are T dz - (K dz,
+.) = rows, with the transport T (``TransportSweeps``) and the derivative K of rates and creep
+(``PointTangent``); the equation for drho has no K. Sweeps, followed by (1 - tau K)^{-1} in every cell, invert
+T - K up to tau^2 (products of T and K) and the sweeps' remainder. Sweeps are accurate if Courant number and
+strain of a step are below a half. If Courant number or strain is above one, even in a single cell, as at a
+wall that starts to move at once, sweeps diverge, and serve only as a preconditioner of GMRES.
 """
 
 from __future__ import annotations
@@ -35,11 +35,12 @@ from ngvisco.solver.split.transport import TransportSweeps
 TOLERANCE, ITERATIONS = 0.05, 20
 """Tolerance of the increments of z and rho, and the largest number of GMRES iterations for them."""
 ENOUGH, ENOUGH_WHERE_STEEP = 0.15, 0.05
-"""Relative residual up to which sweeps alone suffice, without GMRES; Newton's iteration contracts by
-about the same factor.  The second value is for steep rules: local creep rules that are not linear."""
+"""Largest relative residual with which sweeps are accepted without GMRES; Newton's iteration contracts by
+about the same factor. The second value is for steep rules, which are local creep rules that are not
+linear."""
 _LINEAR = 1e-3
-"""GMRES directions of the flow's linear systems are in single precision if the tolerance is above this
-value."""
+"""If the tolerance of the flow's linear system is above this value, GMRES directions are in single
+precision."""
 _IN_WORDS = {"wall_stress": "stresses of oblique or curved walls", "Pi": "a creep rate field"}
 
 
@@ -51,10 +52,11 @@ class FieldsSystem:
         self.operator, self.sweep, self.enough = operator, operator.sweep, enough
         self.iterations = ITERATIONS
         self._swept_is_enough: set[Operator] = set()
-        """Approximate inverses that solved a system by one application since the operator's last update."""
+        """Approximate inverses that have solved a system by one application since the operator's last
+        update."""
 
     def renew(self) -> None:
-        """Let the next solution of each system test again whether sweeps suffice."""
+        """Let the next solution of each system test anew whether sweeps suffice."""
         self._swept_is_enough.clear()
 
     def z(self, rows: np.ndarray, tolerance: float) -> np.ndarray:
@@ -71,8 +73,8 @@ class FieldsSystem:
     def _solved(self, matrix: Operator, swept: Operator, rows: np.ndarray, tolerance: float) -> np.ndarray:
         """Solve matrix(x) = rows up to ``tolerance``, with the swept inverse as preconditioner.
 
-        The preconditioned residual is measured column by column, as columns may have different units,
-        relative to the column of the start value.
+        The preconditioned residual is measured column by column, relative to the start value's column,
+        because columns may have different units.
         """
         enough = self.enough if tolerance >= TOLERANCE else 0.0
         if enough and swept in self._swept_is_enough:
@@ -90,7 +92,7 @@ class FieldsSystem:
         scale[scale == 0] = 1.0
         remaining = swept(rows - matrix(start)).astype(float) / scale
         size = float(np.sqrt(squares(remaining).sum()))
-        if not max(tolerance, enough) < size < np.inf:  # good enough, or not finite
+        if not max(tolerance, enough) < size < np.inf:  # the residual is small enough, or not finite
             self._swept_is_enough.add(swept)
             return start
         most = self.iterations
@@ -122,8 +124,8 @@ class Preconditioner:
         k, m = step.discretisation.k, step.discretisation.m
         thick = step.model.viscosity
         bends = thick is not None and not thick.is_linear
-        # a coarse rule misses a steep viscosity, and moduli of bodies that vary within a cell: increments of
-        # a slab then shrink by 0.99 only
+        # a coarse rule misses a steep viscosity, and bodies' moduli that vary within a cell: the increments
+        # of a slab would shrink only by the factor 0.99
         varies = len(step.model.bodies) > 1
         # on triangles and without hyperviscosity, a rule of degree 2 (k - 1) misses a part of convection: at
         # a Courant number of 0.2 a step takes 16 iterations and seven operators instead of 9 and one
@@ -139,7 +141,7 @@ class Preconditioner:
         self.fields = FieldsSystem(self.operator, ENOUGH_WHERE_STEEP if step.stresses else ENOUGH)
         self.ranks, count = residual.ranks, self.operator.size
         self._size = unknowns.density_slice.start if unknowns.density else unknowns.slices["z"].start
-        """Number of the flow's unknowns with the normal derivatives; they come first."""
+        """Number of the flow's unknowns, normal derivatives included, which come first among all unknowns."""
         self.exchange = residual.exchange.part(np.arange(self._size))
         self._of_velocity = self.exchange.part(np.arange(self.op.v.width))
         places = np.arange(count)
@@ -157,8 +159,10 @@ class Preconditioner:
         )
         self._held = np.flatnonzero(~self.free)
         self._whole: Callable[[], Direct] | None = None
-        """Makes a solver that factorises the whole tangent, to replace the two levels; None if there are no
-        two levels, or too many unknowns."""
+        """Makes a solver that factorises the whole tangent in place of two levels.
+
+        None if the solver has no two levels, or too many unknowns for a factorisation.
+        """
         self._two_levels: Direct | None = None
         self.solver = self._solver(np.append(self.free, np.ones(len(places) - count, dtype=bool)))
         self._blocks = [unknowns.slices[name] for name in unknowns.velocity_block]
@@ -172,7 +176,7 @@ class Preconditioner:
         """Make a solver for the velocity tangent restricted to the unknowns ``free``."""
         exchange, operator, number = self._of_tangent, self.operator, np.arange(len(free))
         count = int(self.ranks.total(int((free & exchange.owned)[: operator.size].sum())))
-        # two levels leave the flow's systems of bodies whose viscosities differ by 1e6 unsolved
+        # two levels do not solve the flow's systems of bodies whose viscosities differ by 1e6
         jumps, options = self.dim == 2 and len(operator.residual.step.model.bodies) > 1, self.options
         whole = partial(direct_solver, free, exchange, self.unknowns.velocity_block == ["v"])
         largest = (options.direct_at_most if jumps else options.direct_up_to)[self.dim - 2]
@@ -194,8 +198,8 @@ class Preconditioner:
         return TwoLevelSolver(free, vertices, beside_v, self._factorised, exchange)
 
     def _factorised(self, free: np.ndarray, matrix: sp.csr_matrix, symmetric: bool) -> Direct:
-        """The factorised solver for the vertices: multigrid if the options ask for it and the matrix allows
-        it."""
+        """The solver for the vertices: a multigrid if the options ask for one and the matrix allows it, else
+        a factorisation."""
         solver: Direct
         if self._multigrid:
             solver = SumInverse(free, self._of_tangent, symmetric, self._coarse, self._kernel)
@@ -227,23 +231,23 @@ class Preconditioner:
         return True
 
     def update(self, at: Evaluation) -> None:
-        """Form operator and tangent at an evaluation; its unknowns have to be the step's state."""
+        """Form operator and tangent at an evaluation, whose unknowns have to be the step's state."""
         self.linearise(at, everything=True)
-        self.solver.forget()  # before the memory for the next tangent is taken
+        self.solver.forget()  # frees memory before the next tangent takes memory
         # two levels without PETSc work in single precision, all other solvers in double precision
         rounds = isinstance(self.solver, TwoLevelSolver) and not self.exchange.is_distributed
         kind = precision.SINGLE if rounds and not self._multigrid else np.float64
         self.solver.factorise(self.operator.tangent(at, self.hyper_tangent, kind))
 
     def linearise(self, at: Evaluation, everything: bool) -> None:
-        """Linearise the operator at an evaluation; without ``everything`` only hyperviscosity and a nonlinear
-        density equation."""
+        """Linearise the operator at an evaluation: unless ``everything``, only the hyperviscosity and a
+        nonlinear density equation."""
         self.operator.update(at, everything)
         if everything:
             self.fields.renew()
 
     def __call__(self, at: Evaluation, tolerance: float, of_fields: float = TOLERANCE) -> np.ndarray:
-        """The packed increment; ``tolerance`` is for the flow's system, ``of_fields`` for the fields'
+        """The packed increment; ``tolerance`` belongs to the flow's system, ``of_fields`` to the fields'
         systems."""
         op, operator, dim, u = self.op, self.operator, self.dim, self.unknowns
         of_z = np.ascontiguousarray(at.residual[u.slices["z"]].reshape(u.components["z"], -1).T)

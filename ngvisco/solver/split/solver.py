@@ -5,16 +5,17 @@ traces, conjugates, local creep, the hyperviscosity's local unknowns - are elimi
 of cells and sides (``ReducedResidual``). An increment is computed by sweeps of the transport and by one
 linear system for the flow, which contains the fields' response to the flow (``FlowSchurComplement``) and is
 solved by GMRES (``Preconditioner``). Three things distinguish this iteration from Newton's method: a coarser
-quadrature rule; a fixed number of sweeps; and an operator that is renewed only after a long increment, when
-increments shrink too little, or when their systems have taken as many further directions as a renewal costs
-(``Wear``). Between renewals only the hyperviscosity, which changes suddenly, is linearised again.
+quadrature rule; a fixed number of sweeps; and an operator that is kept for several increments. The operator
+is renewed after a long increment, if increments shrink too little, or if their linear systems have taken as
+many further directions as a renewal costs (``Wear``). Between renewals only the hyperviscosity is linearised
+again, because it changes suddenly.
 
-``iterate`` replaces x by x - f(x), f = P^{-1} R, until f is small. If f is not finite, or much longer than
-the smallest increment so far, the iterate is given up for one nearer to the best iterate. ``damped`` forms a
-tangent for each increment, and shortens the increment until the next increment is shorter. ``newton_krylov``
-solves P^{-1} dR d = f by GMRES with complex increments of R (``ReducedResidual.derivative``). Creep rate
-fields (nu > 0) need ``newton_krylov``: P leaves their coupling to v out. Measurements are in
-``ngvisco/solver/NOTES.md``.
+``iterate`` replaces x by x - f(x), f = P^{-1} R, until f is small. If the increment f is not finite, or much
+longer than the smallest increment so far, an iterate nearer to the best iterate replaces x. ``damped`` forms
+a tangent for each increment, and shortens the increment until the next increment is shorter.
+``newton_krylov`` solves P^{-1} dR d = f by GMRES with complex increments of R
+(``ReducedResidual.derivative``). Creep rate fields (nu > 0) need ``newton_krylov``: P omits the coupling of
+these fields to v. Measurements are in ``ngvisco/solver/NOTES.md``.
 """
 
 from __future__ import annotations
@@ -38,11 +39,11 @@ from ngvisco.solver.split.wear import Wear
 from ngvisco.threads import Workers, on_arrays
 
 _FORCING = {2: 0.03, 3: 0.003}
-"""Tolerances of the flow's linear systems by dimension; in 3D residuals are expensive, and more exact
-increments need fewer residuals."""
+"""Tolerances of the flow's linear systems by dimension; in 3D residuals are expensive, and with more exact
+increments fewer residuals are evaluated."""
 _LEFT, _LOOSEST = 0.3, 0.03
-"""Error that the flow's linear system may leave of the expected increment, as a share of the error with
-which the iteration may end; and the largest tolerance that this rule may set."""
+"""Error of the flow's linear system, as a share of the error with which the iteration may end; and the
+largest tolerance of the linear system."""
 _STEEP = 0.01
 """Increment above which the operator of steep flow rules is renewed at the next iterate in any case."""
 TOLERANCE, _DIRECTIONS = 0.01, 40
@@ -50,14 +51,15 @@ TOLERANCE, _DIRECTIONS = 0.01, 40
 INNER = 3e-4, 1e-6
 """Tolerance of the linear systems in P within Newton-Krylov: without steep flow rules, and with them.
 
-P must be a linear map. With a steep flow rule the preconditioned derivative P dR has single eigenvalues of
-1e2 to 1e4, which amplify the nonlinear part of P."""
+GMRES needs a linear P. With a steep flow rule the preconditioned derivative P dR has single eigenvalues of
+1e2 to 1e4, which amplify the nonlinear part of P.
+"""
 _FAR = 0.01
-"""Smallest denominator of the ratio ``SplitOptions.growth``: smaller increments may grow up to ``growth``
-times this value."""
+"""Increments below ``SplitOptions.growth`` times this value are accepted, however small the smallest
+increment is."""
 _WINDOW, _MIN_DAMPING = 4, 0.05
 """Number of iterations in which Newton-Krylov has to reduce the increment to a fifth; and the damping below
-which an iteration has stalled."""
+which an iteration counts as stalled."""
 
 
 class Split:
@@ -98,11 +100,11 @@ class Split:
             self.reset()
 
     def factorise(self, problem: Problem) -> None:
-        """Compute the tangent at the present state; raises StepError if it is singular."""
+        """Compute the tangent at the present state; raises StepError if the tangent is singular."""
         problem.pose()
         with on_arrays():
             self.residual.start()
-            self.residual.put(x := self.unknowns.pack())  # derived unknowns may be of another state
+            self.residual.put(x := self.unknowns.pack())  # derived unknowns may belong to another state
             self.step.local_unknowns.update_stored()
             self.renew(problem, self.residual(x))
 
@@ -127,9 +129,9 @@ class Split:
             reason = f"the split solver met a singular block: {error}"
             return Solution(Status.SINGULAR, tuple(history), reason)
         if status is Status.CONVERGED:
-            # ledger and output read the energy stored at the quadrature points
+            # for the ledger and output, which read the energy at the quadrature points
             self.step.local_unknowns.update_stored()
-            self._relax()  # a run resumed here has no strengthened solver either
+            self._relax()  # as in a run resumed here, which has no strengthened solver
             return Solution(status, tuple(history))
         tolerance = self.options.split.margin * self.options.tolerance
         return unconverged(status, history, "the split solver", tolerance, "a smaller step")
@@ -137,7 +139,7 @@ class Split:
     def increment(
         self, problem: Problem, x: np.ndarray, at: Evaluation, last: float, expected: float = np.inf
     ) -> tuple[np.ndarray, float]:
-        """The increment at the unknowns x, and its size, infinite if R is not finite.
+        """The increment at the unknowns x, and the increment's size, which is infinite if R is not finite.
 
         ``at`` is R evaluated at x, ``last`` the size of the previous increment, ``expected`` the expected
         size of this increment.
@@ -172,7 +174,7 @@ class Split:
         return False
 
     def evaluated(self, x: np.ndarray, last: float) -> Evaluation:
-        """R at the unknowns x; flow rules are linearised at x if the operator is to be renewed there.
+        """R at the unknowns x; if the operator is to be renewed at x, flow rules are linearised there.
 
         ``last`` is the size of the increment that led to x.
         """
@@ -191,28 +193,28 @@ class Split:
         return bool(self.step.stresses)
 
     def follow(self, f: np.ndarray, length: float = 1.0) -> None:
-        """Move the linearisation stresses along with ``length`` times the increment f of the state."""
+        """Change the linearisation stresses by ``length`` times the increment f of the state."""
         points = self.preconditioner.operator.points.collocated
         if self.is_steep and points is not None:
             points.follow(-f[self.unknowns.slices["z"]].reshape(self.unknowns.components["z"], -1), length)
 
     def has_converged(self, f: np.ndarray, size: float, last: float) -> bool:
-        """Whether x - f solves the equations, judged by the size of f and of the smallest increment
-        before."""
+        """Whether x - f solves the equations, judged by the ``size`` of f and by ``last``, the size of the
+        smallest earlier increment."""
         options, tolerance = self.options.split, self.options.tolerance
-        # estimates all increments after f from the contraction; that of a first increment is unknown
+        # all increments after f are estimated by a contraction, which is a guess for a first increment
         contraction = 0.5 if last == np.inf else min(max(size / last, self._left), 1.0)
         if size <= tolerance and size * contraction <= (1 - contraction) * options.margin * tolerance:
             return True
         if not 0.5 * last < size:
             return False
-        # slow by rounding or by a poor tangent: the sum of all later increments has to be small
+        # if rounding or a poor tangent slows the iteration, the sum of all later increments has to be small
         gained = max(1 - size / last, 0.0) or 1.0
         return self.size(f, coarse=True) <= gained * tolerance
 
     def reset_if_worn(self, f: np.ndarray, size: float) -> None:
-        """Reset the tangent if the increment f shows that it is outdated; the next increment then renews
-        it."""
+        """Drop the tangent if the increment f shows that it is outdated; the next increment then makes a new
+        tangent."""
         options = self.options.split
         slow = self._stale and not self.is_steep  # steep rules renew the operator alone
         worn = (slow or self.wear.is_dear) and size > 1e3 * options.margin * self.options.tolerance
@@ -223,7 +225,7 @@ class Split:
             self.reset()
 
     def solved(self, at: Evaluation, expected: float = np.inf) -> np.ndarray:
-        """The increment by the present tangent, no more exact than the end of the iteration requires.
+        """The increment by the present tangent, solved only as exactly as the end of the iteration requires.
 
         ``expected`` is the size that the increment probably has."""
         error, tolerance = _LEFT * self.options.split.margin * self.options.tolerance, _LOOSEST
@@ -233,7 +235,7 @@ class Split:
         return self.preconditioner(at, self._left)
 
     def renew(self, problem: Problem, at: Evaluation) -> None:
-        """Compute the tangent at an evaluation; its unknowns have to be the step's state."""
+        """Compute the tangent at an evaluation, whose unknowns have to be the step's state."""
         self.is_factorised = False
         self.preconditioner.update(at)  # no tangent remains if this fails
         self.wear.renew()
@@ -257,8 +259,8 @@ class Split:
 def damped(split: Split, problem: Problem, history: list[NewtonIteration]) -> Status:
     """Iterate with a new tangent for each increment, and shorten it until the next increment is shorter.
 
-    The next increment is computed with the same tangent and with the next tangent, and the shorter result is
-    compared: a material that begins to yield resists a velocity less than the elastic tangent predicts.
+    The next increment is computed twice, with the present and with the next tangent, and the shorter result
+    counts: a material that begins to yield resists a velocity less than the elastic tangent predicts.
     """
     state = split.step.state.vec
     base = state.CreateVector()
@@ -280,7 +282,7 @@ def damped(split: Split, problem: Problem, history: list[NewtonIteration]) -> St
         left = min(by_old, by_new) / split.size(f, base) if size > 0 else 0.0
         history.append(NewtonIteration(size, left, damping, True))
         is_shorter = left <= 1 - damping / 4
-        # after a whole increment the next one may be as long by rounding alone
+        # after an undamped step rounding alone may make the next increment as long
         if (is_shorter or damping == 1) and split.has_converged(new_f, new_size, size):
             split.follow(new_f)
             split.residual.put(new - new_f)
@@ -297,7 +299,7 @@ def damped(split: Split, problem: Problem, history: list[NewtonIteration]) -> St
 
 
 def newton_krylov(split: Split, problem: Problem, x: np.ndarray, history: list[NewtonIteration]) -> Status:
-    """Iterate from ``x`` by Newton-Krylov; the state becomes the solution, or an iterate if there is none."""
+    """Iterate from ``x`` by Newton-Krylov; the state becomes the solution, or an iterate after a failure."""
     options, tolerance = split.options.split, split.options.tolerance
     scale, inner = split.unknowns.scales(x, split.residual.exchange), INNER[split.is_steep]
 
@@ -363,11 +365,11 @@ def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> S
     options = split.options.split
     x = split.unknowns.pack()
     last, halvings = np.inf, 0
-    best = np.inf, x, x  # the smallest increment: its size, its iterate, itself
+    best = np.inf, x, x  # size of the smallest increment, its iterate, and the increment
     while len(history) < split.options.max_iterations:
         if len(history) > options.slow and last <= options.krylov_below:
             return newton_krylov(split, problem, x, history)
-        # increments contract as they did before; nothing is known after an iterate that was given up
+        # assumes the last contraction, which is unknown after an iterate was given up
         expected = last * history[-1].contraction if last < np.inf else np.inf
         f, size = split.increment(problem, x, split.evaluated(x, last), last, expected)
         history.append(NewtonIteration(size, size / last if last < np.inf else 1.0, 1.0, split.is_fresh))

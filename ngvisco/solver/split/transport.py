@@ -1,16 +1,18 @@
 """The transport of the fields for a given velocity, and its approximate inverse by sweeps over the cells.
 
-Each component of z, and rho, has the scalar matrix T = M/tau + convection + facets with the trace eliminated.
-Its dense blocks multiply a cell's own values and the values across its sides (``FacetCoupling``). The flux
-through a facet depends on the cell's values and on the facet's trace, a weighted mean of both sides' values.
-Sweeps over the cells (block Jacobi) solve each cell with its neighbours' last values; the larger the Courant
-number, the slower they converge. ``update`` fixes the number of sweeps for the present velocity, from the
-error that sweeps leave of a random field, so that the approximate inverse is a linear map. T is factorised
-for components that diffuse, because sweeps do not resolve diffusion, and for components that cells exchange
-across facets (``Exchanged``). A nonlinear density equation has its own Jacobian.
+Each component of z, and rho, has a scalar matrix T = M/tau + convection + fluxes through facets, with the
+traces eliminated. The dense blocks of T multiply a cell's own values and the values across its sides
+(``FacetCoupling``). The flux through a facet depends on the cell's values and on the facet's trace, a
+weighted mean of both sides' values. Sweeps over the cells (block Jacobi) solve each cell with the last values
+of its neighbours; sweeps converge more slowly at larger Courant numbers. ``update`` fixes the number of
+sweeps for the present velocity, from the error of sweeps for a random field, so that the approximate inverse
+is a linear map. T is factorised for components that diffuse, because sweeps do not resolve diffusion, and for
+components that cells exchange across facets (``Exchanged``). A nonlinear density equation has its own
+Jacobian.
 
-The blocks are written by hand since ``FacetTangent`` of the same terms takes 30 to 170 times as long
-(``tests/benchmarks/kernels.py``); ``tests/solver/test_flow_operator.py`` compares the blocks with the rows.
+Kernels compute the blocks, since ``FacetTangent`` of the same terms takes 30 to 170 times as long
+(``tests/benchmarks/kernels.py``); ``tests/solver/test_flow_operator.py`` compares the blocks with the
+rows.
 """
 
 from __future__ import annotations
@@ -33,7 +35,7 @@ SHARE = 0.05
 
 
 class CellBlocks:
-    """A matrix in single precision, whose blocks multiply the values of a cell and of its neighbours."""
+    """A matrix in single precision, whose blocks multiply values of the cell and of its neighbours."""
 
     def __init__(self, diagonal: np.ndarray, across: np.ndarray, coupling: FacetCoupling) -> None:
         """``diagonal`` and ``across`` are blocks as ``FacetCoupling.blocks`` returns, or rectangular ones."""
@@ -94,8 +96,8 @@ def _side_by_side(across: np.ndarray) -> np.ndarray:
 class Exchanged:
     """The exchange of some components of z between cells across facets, by other terms than transport.
 
-    Each of these components is factorised together with its transport.  All other components are solved
-    before these.
+    A factorisation for each exchanged component includes the component's transport.  The equations of all
+    other components are solved first.
     """
 
     def __init__(self, tangent: FacetTangent) -> None:
@@ -144,8 +146,8 @@ class TransportSweeps:
         self._tests = np.ascontiguousarray(op.tests())
         self._mass = np.matmul(self._tests, op.z.blocks)
         self._flat: np.ndarray | None = None
-        """Values that flow in through walls: a cell's basis functions without their slopes, at the points of
-        its sides."""
+        """A cell's basis functions without their slopes, at the points of the cell's sides, for matter that
+        flows in through walls."""
         self._whole: Direct | None = None
         """A direct solver for the components of z that diffuse."""
         if residual.diffusion is not None:
@@ -221,13 +223,12 @@ class TransportSweeps:
         return self._flat
 
     def _count_sweeps(self) -> None:
-        """Set the number of sweeps for the present transport, from the error that they leave of a random
-        field."""
+        """Set the number of sweeps for the present transport, from the error of sweeps for a random field."""
         count, q = self._mass.shape[:2]
         x = np.random.default_rng(0).standard_normal((count, q, 1)).astype(precision.SINGLE)
         norm = self.residual.ranks.norm
         size, number = SHARE * norm(x.ravel()), 0
-        # the error after n sweeps is the n-th power of the map from neighbours' values to a cell's values
+        # n sweeps multiply the error by the n-th power of the map from neighbours' values to a cell's values
         while number < MOST and (number < LEAST or norm(x.ravel()) > size):
             x = self.of_z.carried(x)
             number += 1
@@ -255,7 +256,8 @@ class TransportSweeps:
         return result
 
     def in_cells(self, rows: np.ndarray, cells: slice) -> np.ndarray:
-        """Inverses of some cells' own blocks times ``rows``, (cells, q n, .); no sweeps and no diffusion."""
+        """The inverses of some cells' own blocks times ``rows``, (cells, q n, .), without sweeps and
+        diffusion."""
         inverses = self.of_z.cells[cells]
         q = self._mass.shape[1]
         # a length -1 would fail on a rank without cells
@@ -263,8 +265,8 @@ class TransportSweeps:
         return np.matmul(inverses, by_functions).reshape(rows.shape)
 
     def density(self, r: np.ndarray) -> np.ndarray:
-        """Increments of the density's unknowns from rows (unknowns,); sweeps also take (cells' unknowns,
-        .)."""
+        """Increments of the density's unknowns from rows, (unknowns,), or (cells' unknowns, .) if sweeps
+        solve."""
         if self._density is not None:
             return self._density(r)
         assert self.of_rho is not None
@@ -283,5 +285,5 @@ class TransportSweeps:
 
 
 def _solved(solver: Direct, unknowns: HaloUnknowns, rows: np.ndarray) -> np.ndarray:
-    """Solve, by a factorisation over all ranks, for rows of this rank's cells."""
+    """Solve for this rank's rows by a factorisation over all ranks."""
     return solver(unknowns.of_cells_alone(rows))[: unknowns.of_cells]

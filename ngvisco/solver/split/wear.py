@@ -1,9 +1,9 @@
-"""Counts the directions of GMRES that an ageing tangent costs, and says when a new one saves time.
+"""Counts the directions of GMRES that an old tangent costs, and says when a new tangent saves time.
 
 An increment with an old tangent takes more directions than the first increment did. The tangent is renewed
-when the sum of these further directions exceeds the cost of a renewal, so that a run spends at most twice
-the least possible cost.  A limit for the directions of one increment would renew in vain where a new tangent
-needs as many.
+when the sum of the further directions exceeds the cost of a renewal, so that a run spends at most twice the
+least possible cost.  A limit for the directions of one increment would renew in vain if a new tangent needs
+as many directions.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ _FIRST, _BEYOND = "directions_first", "directions_beyond"
 
 
 class Wear:
-    """Directions of the increments with one tangent; ``cost`` is the cost of a renewal in directions."""
+    """Counts the directions of increments with one tangent; ``cost`` is the cost of a renewal in
+    directions."""
 
     def __init__(self, cost: int) -> None:
         self.cost, self._first, self._beyond = cost, 0, 0
