@@ -1,8 +1,8 @@
 """Parameters of adaptive step lengths, and the bound on the growth of damage in a step.
 
-The damage grows after a step by the strains of its end (``ngvisco.forms.damage``): a crack runs as far as
-these strains let it, and matter around it unloads in the next step only.  The load at which a body breaks
-has an error in proportion to the growth in a step.
+The damage grows after a step by the strains at the step's end (``ngvisco.forms.damage``): a crack grows as
+far as these strains let it, and the matter around the crack is unloaded only in the next step.  The load at
+which a body breaks has an error in proportion to the growth in a step.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class AdaptiveSteps:
 
 
 class GrowthControl:
-    """Bounds the growth of the damage at a point in a step by ``most``; None is no bound."""
+    """Bounds the growth of the damage at a point in a step by ``most``; with None growth has no bound."""
 
     def __init__(self, most: float | None, dt_min: float) -> None:
         self.most, self.dt_min = most, dt_min

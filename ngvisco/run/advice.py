@@ -1,4 +1,4 @@
-"""Scales of a run, its dimensionless numbers, and the advice they give about dt, maxh and the material."""
+"""Scales of a run, the run's dimensionless numbers, and advice from these about dt, maxh and the material."""
 
 from __future__ import annotations
 
@@ -21,16 +21,18 @@ from ngvisco.timestepping.scheme import TimeScheme, backward_euler, midpoint
 _FOLLOWED, _RELAXED, _ACROSS = 20, 5, 4
 """Sufficient numbers of steps in a wave's passage and in a relaxation time, and of cells across a body."""
 _RINGING, _STIFF, _DENSER = 10.0, 1e4, 1e2
-"""Cells that waves cross in a step, ratio of moduli, ratio of densities: above these a step is hard."""
+"""Numbers of cells that waves cross in a step, ratio of moduli, and ratio of densities, above which a step is
+hard to solve."""
 _LOCKS = 10.0
 """Ratio of moduli above which cells of order one lock: with 20 a disc stands still in a fluid in which it
 sinks."""
 _SLOW = 100.0
-"""Passages of the waves in a step, above which inertia has no part in the motion."""
+"""Number of times that waves cross the domain in a step, above which inertia has no part in the motion."""
 _SINKS, _SMALL = 0.05, 0.01
-"""Relative compressions of a body by its own weight: one that is reported, and one that is small enough."""
+"""Relative compressions of a body by its own weight: the least that is reported, and one that is small
+enough."""
 _SMEARED = 4.8
-"""Cells across a body whose interface fills a quarter of it after a strain of one.  In measurements
+"""Cells across a body whose interface fills a quarter of the body after a strain of one.  In measurements
 interfaces were 1.2 s^(1/4) cells wide after a strain s.  Where the interface filled a quarter of a body, the
 area of fractions above 1/2 was 3 % too small."""
 _ABOVE_YIELD = 0.1
@@ -42,7 +44,7 @@ class Scales:
     """Scales in SI units; a time that does not exist is inf, a speed or viscosity that does not exist is 0.
 
     Where moduli differ from place to place or from body to body, each scale is the one that needs the
-    smallest dt or maxh.  The domain's lengths leave out periodic directions.
+    smallest dt or maxh.  Lengths of the domain are those in directions that are not periodic.
     """
 
     length: float
@@ -50,7 +52,8 @@ class Scales:
     cell: float
     """Median size of a cell, m."""
     velocity: float
-    """The largest velocity in the run so far, else of walls or of the start, m/s; 0 if it is not known."""
+    """The largest velocity in the run so far, else of walls or of the start, m/s; 0 if no velocity is
+    known."""
     speeds: tuple[float, float]
     """Speeds of the fastest longitudinal and the fastest shear waves at rest, m/s."""
     kinematic_viscosity: float
@@ -74,13 +77,14 @@ class Scales:
     placed: tuple[str, ...] = ()
     """Names of the bodies that have a place."""
     smears: bool = False
-    """Whether bodies are carried with m = 1, and no sharpening keeps them apart."""
+    """Whether bodies are carried with m = 1 and without sharpening."""
     is_sharp: bool = False
-    """Whether bodies are put apart at the end of each step."""
+    """Whether bodies are separated at the end of each step."""
     parting: str | None = None
-    """Warning, in words, about variables of one distortion that may drift apart."""
+    """Warning in words about variables of one distortion, which may drift apart; empty without such a
+    warning."""
     unborne: str | None = None
-    """Warning, in words, about a pressure at the start that a law cannot bear."""
+    """Warning in words about a pressure at the start that a law cannot bear; empty without such a warning."""
     k: int = 2
     """Order of the velocity."""
     longest: float = 0.0
@@ -97,7 +101,8 @@ class Scales:
 
     @property
     def is_slow(self) -> bool:
-        """Whether inertia has no part: waves cross the domain many times in the longest step."""
+        """Whether inertia has no part in the motion, because waves cross the domain many times in the longest
+        step."""
         return self.passage * _SLOW < max(self.dt, self.longest)
 
     @property
@@ -285,8 +290,8 @@ def scales(simulation: RunState) -> Scales:
 def largest_velocity(simulation: RunState) -> float:
     """The largest velocity of a run so far, m/s; 0 if none is known.
 
-    The velocity is the largest one of the steps so far and of walls; before the first step it is the given
-    velocity scale, else the largest velocity of the start and of walls.
+    After a step the velocity is the largest one of all steps and of walls.  Before the first step the
+    velocity is the given velocity scale, or else the largest velocity of the start and of walls.
     """
     ranks, given = simulation.ranks, simulation.given_velocity_scale
     velocities = [row["v_max"] for row in simulation.ledger.rows]

@@ -33,7 +33,8 @@ _MIXED = (0.05, 0.95)
 _WIDE = 3.0
 """Width of the interface in cells, above which a run warns that the body dissolves."""
 PIECES = 2
-"""Parts into which an edge of a cell is cut: with one areas are too small, with three perimeters too long."""
+"""Number of parts into which an edge of a cell is cut: with one part areas are too small, with three parts
+perimeters are too long."""
 
 
 class SmearedWarning(NgviscoWarning):
@@ -88,7 +89,8 @@ class FractionSamples:
     def cut(self, name: str) -> Cut:
         """The part of the plane where a body's fraction is at least 1/2.
 
-        Its columns are x, y, v_1, v_2 and the size of the cell."""
+        The columns of the result are x, y, v_1, v_2 and the size of the cell.
+        """
         if name not in self._cuts:
             self._cuts[name] = Cut.of(self._corners, self._points, self._averaged[name], _HALF)
         return self._cuts[name]
@@ -97,8 +99,8 @@ class FractionSamples:
         """A body's cut with columns x, y, v_1, v_2, the shares of a part's three corners, and the part's
         number.
 
-        The other results are the corners' places, (parts, 3, 2), and the averaged fractions there, (parts,
-        3).
+        The other results are the places of the corners, (parts, 3, 2), and the averaged fractions at the
+        corners, (parts, 3).
         """
         count = len(self._corners)
         shares = np.broadcast_to(np.eye(3), (count, 3, 3))
@@ -110,8 +112,8 @@ class FractionSamples:
     def smeared(self, name: str) -> float:
         """The width of a body's interface in cells; NaN without an interface.
 
-        It is the volume where the fraction is between 0.05 and 0.95 over the volume of an interface one cell
-        wide, whose area is int |grad theta| of the averaged fraction.
+        The width is the volume where the fraction is between 0.05 and 0.95, over the volume of an interface
+        one cell wide with the area int |grad theta| of the averaged fraction.
         """
         edges = np.swapaxes(self._corners[:, 1:, : self.dim] - self._corners[:, :1, : self.dim], 1, 2)
         volumes = np.abs(np.linalg.det(edges)) / (2 if self.dim == 2 else 6)
@@ -126,8 +128,8 @@ class FractionSamples:
 class Tractions:
     """Mean stress of bodies, and the force and torque that other bodies exert on them.
 
-    The stress sigma is the sum of the elastic and the viscous one.  With a continuous chi, the fraction
-    averaged at the vertices, the force is -int sigma grad chi = int chi div sigma: walls have no part in it.
+    The stress sigma is the sum of elastic and viscous stress.  With a continuous chi, the fraction averaged
+    at the vertices, the force is -int sigma grad chi = int chi div sigma: walls have no part in it.
     """
 
     def __init__(self, simulation: Simulation, names: Sequence[str]) -> None:
@@ -141,7 +143,8 @@ class Tractions:
         numbers = GridFunction(space)
         numbers.vec.FV().NumPy()[:] = np.arange(space.ndof)
         self._numbers = np.rint(self._lattice.values(numbers)[:, 0]).astype(int)
-        """Number of chi's unknown at every corner of every cell; a cell may meet its own periodic image."""
+        """The number of the unknown of chi at each corner of each cell; a cell may meet its own periodic
+        image."""
         self._counts = self._sums(np.ones(len(self._numbers)))
         pairs = [(0, 0), (1, 1), (2, 2), (0, 1), *([(0, 2), (1, 2)] if self._dim == 3 else [])]
         self.of_stress = {f"stress_{i + 1}{j + 1}": (i, j) for i, j in pairs}
@@ -160,14 +163,16 @@ class Tractions:
         return stress + fields["viscous_stress"] if "viscous_stress" in fields else stress
 
     def shares(self, name: str, fields: Mapping[str, CoefficientFunction]) -> dict[str, CoefficientFunction]:
-        """A body's shares theta sigma_ij in the stress, Pa, from the fields of a state, by their columns."""
+        """A body's shares theta sigma_ij in the stress, Pa, by the names of their columns, from the fields of
+        a state."""
         stress, theta = self._stress(fields), fields[f"{name}_fraction"]
         return {column: theta * stress[i, j] for column, (i, j) in self.of_stress.items()}
 
     def densities(
         self, fields: Mapping[str, CoefficientFunction], slope: CoefficientFunction
     ) -> dict[str, CoefficientFunction]:
-        """Densities of force and torque about the origin for a slope grad chi, by their columns."""
+        """Densities of force and torque about the origin, by the names of their columns, for a slope grad
+        chi."""
         place, stress, dim = (x, y, z), self._stress(fields), self._dim
         f = [-sum((stress[i, j] * slope[j] for j in range(dim)), CF(0.0)) for i in range(dim)]
         axes = [(0, 1)] if dim == 2 else [(1, 2), (2, 0), (0, 1)]
@@ -181,15 +186,15 @@ class Tractions:
         return sums.reshape(len(volumes), -1) / np.where(volumes > 0, volumes, np.nan)
 
     def average(self) -> None:
-        """Set chi at each vertex to the mean, over the vertex's cells, of the fraction's P1 projection in a
-        cell."""
+        """Set chi at each vertex to the mean of the fraction's cellwise P1 projections over the cells at the
+        vertex."""
         for name, chi in self.chi.items():
             self._projected.Set(self._theta[name])
             sums = self._sums(self._lattice.values(self._projected)[:, 0])
             chi.vec.FV().NumPy()[:] = sums / np.maximum(self._counts, 1)
 
     def _sums(self, at_corners: np.ndarray) -> np.ndarray:
-        """Sums over cells' corners of values there, by chi's unknowns."""
+        """Sums of ``values`` at corners of cells, one sum for each unknown of chi."""
         return self._exchange.sum(np.bincount(self._numbers, at_corners, self._exchange.count))
 
     def forces(self, centres: np.ndarray) -> np.ndarray:
@@ -206,7 +211,7 @@ class Tractions:
 Measure: TypeAlias = Literal["deformation", "outline", "turning", "stress", "traction", "gap"]
 """Optional measures of bodies."""
 _PLANE = ("deformation", "outline", "turning", "gap")
-"""Measures that need an outline, hence two dimensions."""
+"""Measures that need an outline, and hence a domain of two dimensions."""
 
 
 class Bodies(Series):
@@ -241,11 +246,11 @@ class Bodies(Series):
     | ``traction`` | ``NAME_force_x``, ..., force of the other bodies by that stress, N, and its torque |
     |  | about the centroid, ``NAME_torque``, in 3D ``NAME_torque_x``, ..., N m |
 
-    A body that crosses a periodic boundary is in parts: centroid and moments are not those of one body.  A
-    ``SmearedWarning`` is issued, once, for a body with a place whose interface is more than three cells wide,
-    and in two dimensions a ``SelfContactWarning`` if parts of its outline face each other within a cell.
-    A run's HDF5 file (``Checkpoints``) holds the columns in the group ``bodies``.
-    A run raises ParameterError for a model without bodies, for a measure that needs an outline in three
+    A body that crosses a periodic boundary counts as several parts, and centroid and moments are those of the
+    parts together.  A ``SmearedWarning`` is issued, once, for a body with a place whose interface is more
+    than three cells wide, and in two dimensions a ``SelfContactWarning`` if parts of its outline face each
+    other within a cell.  A run's HDF5 file (``Checkpoints``) holds the columns in the group ``bodies``.  A
+    run raises ParameterError for a model without bodies, for a measure that needs an outline in three
     dimensions, and for ``gap`` of fewer than two bodies that have a place.
 
     Parameters
@@ -330,7 +335,8 @@ class Bodies(Series):
         return {f"{name}_{column}": why for name in self.names for column, why in reasons.items()}
 
     def may_be_nan(self, column: str) -> bool:
-        return column not in ("step", "time")  # the body may be thinner than a cell, or have left the domain
+        # the outline is empty for a body that is thinner than a cell or has left the domain
+        return column not in ("step", "time")
 
     def _sample(self, simulation: Simulation) -> Any:
         dim = simulation.mesh.dim
@@ -339,7 +345,7 @@ class Bodies(Series):
         values = totals.reshape(self._theta.dim, -1)
         values[:, 2 : 2 + dim] /= np.where(values[:, 1:2] > 0, values[:, 1:2], np.nan)
         there = simulation.sampler.rows(self._theta).T[:, :, None] >= _HALF
-        # the least value is minus the largest of the negated ones: the point set of a rank may be empty
+        # by largest values alone, because the point set of a rank may be empty
         ends = np.stack([-self._places, self._places], axis=-1).reshape(-1, 2 * dim)
         extents = np.where(there, ends, -np.inf).max(axis=1, initial=-np.inf)
         extents = simulation.ranks.largest(extents) * np.tile([-1, 1], dim)
@@ -376,8 +382,7 @@ class Bodies(Series):
         return np.array(rows)
 
     def _look(self, simulation: Simulation, smeared: np.ndarray) -> None:
-        """Warn, once for each body, of an interface that has become wide, and of an outline that meets
-        itself."""
+        """Warn, once for each body, of a wide interface, and of an outline that meets itself."""
         for name, width in zip(self.names, smeared, strict=True):
             if name not in self._placed:
                 continue
@@ -396,7 +401,7 @@ class Bodies(Series):
                 self._warn(simulation, name, message, SelfContactWarning)
 
     def _warn(self, simulation: Simulation, name: str, message: str, kind: type[NgviscoWarning]) -> None:
-        """Warn of a body, once of each kind."""
+        """Warn of a body; each kind of warning is given once for each body."""
         if (name, kind) not in self._is_said:
             self._is_said.add((name, kind))
             simulation.ranks.warn(f"at t = {simulation.t:.4g} s {message}", kind, stacklevel=5)
@@ -413,8 +418,8 @@ def require_bodies(owner: str, material: Any) -> tuple[Any, ...]:
 def densities(step: Step, name: str, u: Fields) -> dict[str, CoefficientFunction]:
     """Densities of a body's mass, volume, first moments, momentum, energies and dissipation at ``u``.
 
-    The keys are the columns; those of the first moments, ``x``, ``y``, ``z``, are of integrals over the
-    volume.
+    The keys are the names of columns.  The first moments, ``x``, ``y``, ``z``, are integrals of place over
+    the volume.
     """
     material, rates = step.model.material, u.context.rates
     assert isinstance(material, Mixture)

@@ -24,8 +24,8 @@ Layout::
 The ledger and each checkpoint have the attribute ``checksum``, the SHA-256 of all their numbers: a file in
 which a bit has changed is refused.
 
-The file is made in memory, written under another name and renamed, so that a kill or a full disk at any
-moment leaves the former file readable.  A restart factorises the Jacobian at the run's own point and equals
+The file is made in memory, written under another name and renamed, so that the former file stays readable if
+the run is killed or the disk is full.  A restart factorises the Jacobian at the run's own point and equals
 the uninterrupted run bit for bit (on one machine, with the same number of ranks), whatever the step of the
 interruption; ``ngvisco/parallel/NOTES.md`` says where ranks leave a difference of rounding.
 """
@@ -109,7 +109,7 @@ class Checkpoints:
         self._write(simulation)
 
     def step(self, simulation: Simulation, row: dict[str, float]) -> None:
-        # a part of a halved step counts as a step, since it takes as long to compute
+        # a part of a halved step counts as a step, since a part takes as long to compute as a step
         if simulation.number % self.every == 0:
             self._write(simulation)
 

@@ -1,7 +1,7 @@
 """Columns of extrema over points of cells: least and largest densities, speeds, temperatures, ...
 
-The derivative of an extremum is that of the value at the extremal point, which is constant in the
-derivatives.  It jumps where two points have the same value.
+The derivative of an extremum is the derivative of the value at a fixed point, the extremal point.  The
+derivative jumps where two points have the same value.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import Distortion, Jacobian, ReciprocalJacobian, Values
 
 Place: TypeAlias = tuple[int, int]
-"""Numbers of a sampled point, and of one of its values: a pair of variables and a sign, for defects."""
+"""Number of a sampled point, and number of one of the values at this point; defects have one value for each
+pair of variables and sign."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ def _eigenvalues(rows: np.ndarray) -> np.ndarray:
 
 
 def _of_both_signs(rows: np.ndarray) -> np.ndarray:
-    """Values and their negatives: the largest is the largest absolute value."""
+    """Values and negative values, of which the largest is the largest absolute value."""
     return np.concatenate([rows, -rows], axis=1)
 
 
@@ -81,7 +82,7 @@ def extrema(
     definite: Mapping[str, CoefficientFunction],
     defects: Mapping[str, CoefficientFunction],
 ) -> dict[str, Extremum]:
-    """Extrema at ``u`` by the ledger's columns: of rho, J, |v|, ``watched`` values, tensors, and defects."""
+    """Extrema of rho, J, |v|, ``watched`` values, tensors and defects at ``u``, by the ledger's columns."""
     least = {"rho_min": u.rho, **({} if J is None else {"J_min": J})}
     most = {"rho_max": u.rho, "v_max": sqrt(square(u.v))}
     for name, value in watched.items():
@@ -130,7 +131,7 @@ class Extrema:
         return {name: self.at(name, places[name]) for name in self.names}
 
     def at(self, name: str, place: Place) -> float:
-        """A column's value at a place in the present state."""
+        """The value of a column at a place, in the present state."""
         point, choice = place
         return float(self._values(name, np.array([point]))[0, choice])
 

@@ -1,4 +1,4 @@
-"""Report on a step that could not be taken: three lines to act on, then a rule and the details.
+"""Report on a step that could not be taken: three lines of results and advice, a rule, and the details.
 
 ``Simulation.advance`` attaches a ``FailureReport`` to the StepError that it raises.
 """
@@ -32,7 +32,7 @@ _SHOWN = 4
 _RULE = 80 * "-"
 
 _ROUNDING = 1e-12
-"""Share of the usual |v|/h, below which the flow counts as at rest."""
+"""Share of the usual |v|/h below which matter counts as at rest."""
 _FAST = 1.0
 """Courant number above which a report gives advice about it."""
 
@@ -106,7 +106,7 @@ class FailureReport:
 
 
 def _described(history: Sequence[Attempt]) -> list[str]:
-    """A line for the attempts from each kind of start values: their number, and how the last one ended."""
+    """One line for each kind of start values: the number of attempts, and the end of the last attempt."""
     lines = []
     for which, group in groupby(history, key=lambda attempt: attempt.start):
         attempts = list(group)
@@ -123,7 +123,7 @@ def _described(history: Sequence[Attempt]) -> list[str]:
 def failure_report(simulation: RunState, error: StepError) -> FailureReport:
     """The report on the last step tried from the simulation's present state, which failed with ``error``.
 
-    Collective; all ranks get the same report but for ``state``.
+    Collective; all ranks get the same report, except for ``state``.
     """
     rate, fastest, place = _fastest(simulation)
     tau = simulation.integrator.tried
@@ -187,7 +187,7 @@ def _advice(simulation: RunState, violation: Violation | None, courant: float, r
             lines.insert(0, f"the material, or less load: {met}")
         creep = model.creep
         is_sharp = creep is not None and not isinstance(creep, Creep) and creep.nu != 0
-        # the floor is far below the flow's rates
+        # the floor of creep rates is far below the flow's rates
         if creep is not None and is_sharp and creep.rate_floor < _SHARP * rate:
             floor = f"rheology.creep.rate_floor, {creep.rate_floor:.3g}/s, to a thousandth of the rates of"
             lines.insert(0, f"{floor} creep; the velocity varies by up to {rate:.2g}/s")
@@ -227,7 +227,7 @@ def write_failure(text: Path, fields: Path, simulation: RunState, report: Failur
     """Write the report as text, and the refused solution, or else the last state, as .vtu.
 
     The field ``out_of_bounds`` is 1 in cells where a bound is violated.  Returns the file of the fields, over
-    ranks the .pvtu of their pieces.  Collective; an OSError of one rank is raised on all.
+    ranks the .pvtu of their pieces.  Collective; an OSError of one rank is raised on all ranks.
     """
     ranks = simulation.ranks
     shown_in = shown_by(fields, ranks)

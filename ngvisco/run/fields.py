@@ -76,7 +76,7 @@ def require_names_of_their_own(material: Material, further: Sequence[str], carri
 def output_fields(step: Step, fields: Fields | None = None) -> dict[str, CoefficientFunction]:
     """The fields of the module's docstring, the material's variables, and further unknowns that evolve.
 
-    All are evaluated at the state ``fields``, by default the present one.
+    All fields are evaluated at the state ``fields``, by default the present state.
     """
     u, material = step.now if fields is None else fields, step.model.material
     T = cauchy_stress(material, step.context.rates.parted(u), u.zeta_tensors, step.energy.anywhere(u))
@@ -144,7 +144,8 @@ def component_fields(
 ) -> dict[str, CoefficientFunction]:
     """Components of the named fields, and named single components; default the usual fields.
 
-    Raises UnknownNameError, with the ``key`` of the names, for a name of neither a field nor a component.
+    Raises UnknownNameError, with the ``key`` of the names, for a name that neither a field nor a component
+    has.
     """
     every = components(fields)
     chosen: dict[str, CoefficientFunction] = {}
@@ -248,12 +249,13 @@ def further_fields(step: Step, cauchy: CoefficientFunction, u: Fields) -> dict[s
 def eigenvalues(A: CoefficientFunction) -> CoefficientFunction:
     """Vector of the eigenvalues of a symmetric 3x3 tensor, the largest first.
 
-    With A = q I + p B, tr B = 0, |B|^2 = 6 they are q + 2 p cos(phi + 2 pi k/3), cos 3 phi = det B/2.
+    For A = q I + p B with tr B = 0 and |B|^2 = 6 the eigenvalues are q + 2 p cos(phi + 2 pi k/3), where cos 3
+    phi = det B/2.
     """
     q, deviator = (1 / 3) * tr(A), dev(A)
     s = square(deviator) / 6
     p = sqrt(if_positive(s, s, 0.0))
-    # in a spherical tensor every direction is a principal one: any phi is right
+    # every direction is a principal direction of a spherical tensor, so that any phi is right
     cosine = 0.5 * det(deviator) / if_positive(s, s * p, 1.0)
     # rounding may take the cosine beyond -1 or 1
     cosine = if_positive(cosine - 1, 1.0, if_positive(cosine + 1, cosine, -1.0))
@@ -279,7 +281,7 @@ def principal_stretches(step: Step, u: Fields) -> CoefficientFunction | None:
 
 
 def _hyperstress(u: Fields, i: int) -> CoefficientFunction:
-    """The 3x3 matrix with the hyperstress S_ijk at jk."""
+    """The 3x3 matrix of the hyperstress S_ijk for one i, with rows j and columns k."""
     dim, basis = u.dim, hessian_basis(u.dim)
     size = basis.shape[1]
     matrix = np.zeros((3, 3, dim, size))

@@ -100,14 +100,15 @@ def require_whole(path: Path) -> None:
 
 
 def mesh_image(mesh: Mesh) -> bytes:
-    """The mesh as a .vol file's content; unlike Netgen it is not silent about a full disk."""
+    """The content of a .vol file for the mesh.  Unlike Netgen's own writer, this function reports a full
+    disk."""
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "mesh.vol"
         mesh.ngmesh.Save(str(path))
         require_whole(path)
         lines = path.read_bytes().split(b"\n")
     first = lines.index(b"points") + 2
-    for i, point in enumerate(coordinates(mesh).tolist()):  # Netgen writes 16 decimals: 1e-17 m would be 0
+    for i, point in enumerate(coordinates(mesh).tolist()):  # in 16 decimals 1e-17 m would be 0
         lines[first + i] = " ".join(map(repr, [*point, 0.0][:3])).encode()
     return b"\n".join(lines)
 
@@ -123,8 +124,8 @@ def mesh_of(image: bytes) -> Mesh:
 def mesh_in(path: Path) -> Mesh:
     """The mesh in a file, curved anew if its geometry is known: Netgen writes eight decimals of curved cells.
 
-    With these decimals the cells of a case file would differ from the cells of a script, by 3e-10 of a disc's
-    area, and from the cells of several ranks.
+    With eight decimals the cells of a case file would differ from the cells of a script, by 3e-10 of a disc's
+    area, and from the cells of a run over ranks.
     """
     mesh = Mesh(str(path))
     if mesh.GetCurveOrder() > 1 and has_geometry(mesh):

@@ -1,9 +1,9 @@
 """Frames of pictures, animations and scenes: states as arrays, from a VTK series or from present fields.
 
 Cells have their own points, so that fields may jump between them.  The outline of a body is the line where
-its volume fraction is one half.  Lines drawn cell by cell would have gaps where a jump passes one half.  So
-the fraction is averaged at points where cells meet, and the line is that of a smooth function through the
-averages, which does not follow the edges of cells.
+its volume fraction is one half.  Lines drawn cell by cell would have gaps where a jump passes one half.
+Therefore the fraction is averaged at points where cells meet.  The line belongs to a smooth function through
+the averages, and does not follow the edges of cells.
 """
 
 import importlib
@@ -34,7 +34,8 @@ _CUTS = {
     2: (((0, 2), (0, 3), (1, 3), (1, 2)), [(0, 1, 2), (0, 2, 3)]),
     3: (((0, 3), (1, 3), (2, 3)), [(0, 1, 2)]),
 }
-"""Cut edges of a tetrahedron, and triangles, by the number of its points above; these come first."""
+"""Cut edges of a tetrahedron, and triangles of the section, by the number of the tetrahedron's points above
+the plane; points above the plane come first."""
 _SAME = 1e-9  # share of the points' extent; points that are closer than this are one
 _FLAT = 1e-6  # share of the largest triangle's area; a smaller triangle is a corner or an edge
 _HALVINGS = 2  # number of halvings of the triangles in which a line is drawn
@@ -100,7 +101,7 @@ def frame_of(
     """The frame of scalar fields at present, by name; ``outlines`` are fractions of bodies to be outlined.
 
     Every cell is cut into ``pieces``^dim parts, a quadrilateral into twice as many triangles.  Raises
-    ParameterError for a field that is no scalar.
+    ParameterError for a field that is not a scalar.
     """
     for name, value in fields.items():
         if value.dim != 1:
@@ -154,14 +155,14 @@ class Lattice:
 def sampled(mesh: Mesh, value: CoefficientFunction, pieces: int) -> tuple[np.ndarray, np.ndarray]:
     """Values at the points of a ``Lattice``, (points, components), and its simplices, (parts, dim + 1)."""
     lattice = Lattice(mesh, pieces)
-    # compiled, since expressions common to several fields, as the pressure of bodies, are then evaluated once
+    # compiled functions evaluate expressions common to several fields, as the pressure of bodies, only once
     return lattice.values(value.Compile()), lattice.cells
 
 
 def read_series_files(directory: str | os.PathLike[str]) -> list[tuple[float, Path]]:
     """Time and file of every state of a series, e.g. of ``results/swirl/vtk``.
 
-    Raises CheckpointError if there is none.
+    Raises CheckpointError if there is no series.
     """
     place = Path(directory)
     series = [(time, place / name) for time, name in read_pvd(place / "fields.pvd")]
@@ -188,7 +189,8 @@ def read_pvd(path: Path) -> list[tuple[float, str]]:
 
 
 def read_frame(path: Path) -> Frame:
-    """The frame in a file of a series; raises CheckpointError if it is damaged or of another program."""
+    """The frame in a file of a series; raises CheckpointError if the file is damaged or was written by
+    another program."""
     try:
         if path.suffix == ".pvtu":  # a .pvtu file names the files of the ranks
             pieces = ElementTree.parse(path).getroot().iter("Piece")
@@ -256,14 +258,15 @@ def cut(frame: Frame, axis: int, position: float) -> tuple[np.ndarray, np.ndarra
 
 
 def averaged(points: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Values, (..., points), replaced by their means over ``points``, (points, dim), at the same place."""
+    """Replace values, (..., points), by the means over all ``points``, (points, dim), at the same place."""
     _, place = places(points)
     sums = np.apply_along_axis(lambda row: np.bincount(place, weights=row), -1, values)
     return (sums / np.bincount(place))[..., place]
 
 
 def places(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The first point at each place, and each point's place by number; equal to a tolerance of the size."""
+    """The first point at each place, and the number of each point's place; places are equal to a tolerance
+    times the size."""
     size = float(np.ptp(points, axis=0).max(initial=0.0)) or 1.0
     rounded = np.round(points / (_SAME * size)).astype(np.int64)
     _, first, number = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
@@ -271,7 +274,8 @@ def places(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def outline(axis: Any, X: np.ndarray, Y: np.ndarray, triangles: np.ndarray, fraction: np.ndarray) -> Any:
-    """Draw the line where a fraction, (corners,), is one half; return None if there is no such line."""
+    """Draw the line on which a fraction, (corners,), is one half; return None if the fraction is one half
+    nowhere."""
     if not fraction.min() < 0.5 < fraction.max():  # matplotlib warns if there is no line
         return None
     tri = importlib.import_module("matplotlib.tri")
@@ -289,10 +293,10 @@ def outline(axis: Any, X: np.ndarray, Y: np.ndarray, triangles: np.ndarray, frac
 
 
 def outlined(names: Sequence[str]) -> list[str]:
-    """The fractions among ``names`` that outline a run's bodies, without the last body's.
+    """The names of fractions that outline a run's bodies, among ``names``, without the last body's fraction.
 
     The fractions stand together before ``body``, since a passive field may have a similar name.  The last
-    body's outline consists of the others'.
+    body's outline consists of outlines of the other bodies.
     """
     before = list(names)[: list(names).index("body")] if "body" in names else []
     backwards = takewhile(lambda name: name.endswith("_fraction"), reversed(before))

@@ -1,4 +1,4 @@
-"""Warnings about inflows whose values do not belong to the stress at the wall."""
+"""Warnings about inflows whose given values do not fit the stress at the wall."""
 
 from __future__ import annotations
 
@@ -19,11 +19,13 @@ _MATTERS = 0.01
 """Share of all powers that matter may lose where it flows in, and of the mass that may come in with a density
 that nothing determines; a run warns of a larger one."""
 _FILLED = 0.2
-"""Share of the mass that comes in before stresses are compared: until then the start's stress is inside."""
+"""Stresses are compared after this share of the mass has come in, because before this the stress inside is
+that of the start."""
 _DIFFERS = 0.1
-"""Share of the stresses, root mean squares over the inflow, by which inside and outside may differ."""
+"""Largest difference between the stresses inside and outside, as a share of the stresses; both are root mean
+squares over the inflow."""
 _ROUNDING = 1e-9
-"""Share of the bulk modulus below which a stress is rounding."""
+"""Share of the bulk modulus below which a stress counts as rounding."""
 
 
 class InflowWarning(NgviscoWarning):
@@ -31,13 +33,14 @@ class InflowWarning(NgviscoWarning):
 
 
 class Inlets:
-    """Warns of inflows through a run's walls; it sums the mass that came in through each of them.
+    """Warns of inflows through a run's walls; sums the mass that came in through each wall.
 
     Two measures tell whether given values have another stress than the body.  One is the power that is lost
-    where both meet; in slow straining this power is small beside others.  The other is the difference of the
-    stresses' deviators beside elastic and viscous stresses.  Only the first measure judges pressures: matter
-    that is hardly compressed has its neighbours' density at any pressure.  Temperatures mix by their nature
-    and bring no warning.  Bodies whose amounts are given come in unstrained.
+    where given values and the body meet; in slow straining this power is small beside other powers.  The
+    other is the difference of the stresses' deviators beside elastic and viscous stresses.  Only the first
+    measure judges pressures: matter that is hardly compressed has its neighbours' density at any pressure.
+    Temperatures mix by their nature and bring no warning.  Bodies whose amounts are given come in
+    unstrained.
     """
 
     def __init__(self, step: Step) -> None:
@@ -58,7 +61,7 @@ class Inlets:
                 self._unknown.append(term.name)
         self._entered = dict.fromkeys((*self._given, *self._unknown), 0.0)
         """Mass, kg, that came in, by the wall's name."""
-        # the stress of given values is not known for an energy without an expression
+        # for an energy without an expression the stress of given values is not known
         named_alone = [name for name, kind in self._given.items() if kind != "amounts"]
         has_expression = law.response(step.mesh.dim) is None
         self._compared = {name for name in self._given if has_expression or name not in named_alone}
@@ -69,7 +72,8 @@ class Inlets:
         self._rounding = _ROUNDING * max(moduli)
 
     def _squares(self, name: str) -> tuple[CoefficientFunction, ...]:
-        """Squares of the stresses' difference and size, and 1, times the inflow speed, on a wall."""
+        """Integrands on a wall: the inflow speed times the square of the stresses' difference, times the
+        square of the stresses' size, and times 1."""
         step, u = self._step, self._step.now
         term = next(term for term in step.passages if term.name == name)
         inward, inside, outside = term.deviators(u)
@@ -90,7 +94,7 @@ class Inlets:
         return (difference / inflow) ** 0.5, (size / inflow) ** 0.5
 
     def resume(self, rows: Sequence[Mapping[str, float]]) -> None:
-        """Go on after the ledger's ``rows``."""
+        """Continue after the ``rows`` of a ledger."""
         self._entered = dict.fromkeys(self._entered, 0.0)
         for row in rows:
             self._add(row)

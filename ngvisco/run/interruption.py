@@ -19,15 +19,15 @@ class Interruption:
         simulation.solver.interrupted = lambda: self._is_armed and simulation.stop_requested
 
     def begin(self) -> None:
-        """Keep the data from which a step begins; only a stop that is requested later gives this step up."""
+        """Keep the data from which a step begins; a request to stop that comes later gives this step up."""
         if self._has_stopped:
             self._simulation.solver.load_state_dict(*self._kept["solver"])
         self._has_stopped = False
         self._kept, self._is_armed = self.parts(), not self._simulation.stop_requested
 
     def parts(self) -> dict[str, KeptPart]:
-        """Numbers and arrays of the solver and of the stepper, by part, that a restart from the present state
-        needs."""
+        """Numbers and arrays that a restart from the present state needs, of the solver and of the stepper,
+        by part."""
         if self._has_stopped:
             return self._kept
         simulation = self._simulation

@@ -5,11 +5,11 @@
 is zero for the exact solution of a step (paper: Euler-ED-basic-energy-balance-disc and
 Euler-large-energy-balance-disc, with their inequalities' remainders written out).  Dissipations and powers
 have the time scheme's weights.  ``inertial`` and ``bregman`` are the kinetic and the stored part of the
-scheme's numerical dissipation, sums of Bregman distances (``ngvisco.timestepping.scheme``).  For the
-implicit Euler step they are 1/2 int rho_old |v - v_old|^2 and int phi(z_old) - phi(z) - phi'(z):(z_old - z),
-the latter >= 0 where the energy is convex; for schemes of second order they have either sign.  ``limiter``
-is the energy taken by limiting the step's end (``ngvisco.forms.bounds``), ``limiter_walls`` its share
-through moved walls.
+scheme's numerical dissipation, sums of Bregman distances (``ngvisco.timestepping.scheme``).  For the implicit
+Euler step these parts are 1/2 int rho_old |v - v_old|^2 and int phi(z_old) - phi(z) - phi'(z):(z_old - z);
+the second one is >= 0 where the energy is convex.  In schemes of second order the two parts have either sign.
+``limiter`` is the energy that the limiter takes from the state at the step's end (``ngvisco.forms.bounds``),
+``limiter_walls`` the share of this energy that passes moved walls.
 """
 
 import math
@@ -43,8 +43,8 @@ from ngvisco.timestepping.integrator import LIMITER, LIMITER_WALLS, StepTaken
 EIGENVALUE = "eigenvalue_min_"
 """Beginning of the columns of each tensor B's least eigenvalue, which has to be positive."""
 _STRETCH, _OPERATIONS = 1e-4, 30
-"""Relative change of the variables for the second difference that gives the size of an energy density's
-terms, and the rounding of a density in roundings of this size."""
+"""Relative change of the variables in the second difference by which the size of an energy density's terms is
+estimated; and the rounding of an energy density, in units of the rounding of numbers of this size."""
 
 _RATES = ("dissipation", "power", "production", "flux")
 """Kinds of entries that are rates at the scheme's stages."""
@@ -73,7 +73,7 @@ def unit(column: str) -> str:
 
 @dataclass(frozen=True)
 class Balance:
-    """Totals of a ledger with which a restart goes on without a seam."""
+    """Totals of a ledger from which a restart continues as the uninterrupted run."""
 
     energy: float
     mass: float
@@ -104,7 +104,7 @@ class DefectWarning(NgviscoWarning):
 class Ledger:
     """Evaluates a row after every step; a step with |closure_relative| above ``closed`` does not close.
 
-    Rows of an earlier part of the run are judged by the limit of that part, whose tolerance may differ.
+    A row of an earlier part of the run is judged by this part's limit, whose tolerance may differ.
 
     Attributes
     ----------
@@ -285,7 +285,7 @@ class Ledger:
             self.entries.append(Entry(name, kind, Integrand()))
 
     def add_once(self, name: str, value: float) -> None:
-        """Put ``value``, J, of a transfer between states into the column ``name`` of the next row."""
+        """Put the energy ``value``, J, of a transfer into the column ``name`` of the next row."""
         self.keep([name])
         self._pending[name] = value
 
@@ -294,8 +294,8 @@ class Ledger:
     ) -> dict[str, float]:
         """Append and return the row of ``step``, which ends in the present state at ``time``, s.
 
-        ``error`` is the estimate of the step's relative error, None without an estimate.  Raises StepError
-        for a column that has to be a number and is none; the row is then not appended.
+        ``error`` is the estimate of the step's relative error, None without an estimate.  Raises StepError,
+        without appending the row, for a column that has to be a number and is NaN or infinite.
         """
         assert self.balance is not None
         tau = step.tau
@@ -335,7 +335,7 @@ class Ledger:
         return self._append(row)
 
     def check_closure(self) -> None:
-        """Warn if the last row is the first one that does not close, in energy or in momentum."""
+        """Warn if the last row does not close, in energy or in momentum, and all earlier rows do."""
         self.momentum.check(self.rows[-1])
         if not abs(self.rows[-1]["closure_relative"]) <= self.closed and (message := self.unclosed):
             self._warn_once(message, ClosureWarning)
@@ -361,8 +361,8 @@ class Ledger:
     def heat(self, s: float | None = None) -> float:
         """int theta |s|, the size of the heat above the reference temperature, J; 0 without heat.
 
-        Heat of warm and cold places cancels in the energy, but not in an iteration's error.  ``s`` is a
-        constant entropy, by default the present field.
+        The heat of warm and of cold places cancels in the energy, while errors of an iteration do not cancel.
+        ``s`` is a constant entropy, by default the present field.
         """
         entropy = entropy_in(self.step.model.material)
         if entropy is None:
@@ -429,7 +429,7 @@ class Ledger:
         }
 
     def _relative_defects(self, values: np.ndarray, rms: np.ndarray, time: float) -> tuple[float, float]:
-        """Largest root mean square and largest value of the relative defects; warns once from 1 % on.
+        """Largest root mean square and largest value of the relative defects; warns once of 1 % or more.
 
         ``values`` are the defects at points, (defects, points), ``rms`` their root mean squares.
         """

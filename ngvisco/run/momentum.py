@@ -2,9 +2,9 @@
 
     momentum - momentum_old = sum of impulse_* + momentum_defect
 
-holds at every step of every scheme, and likewise for angular momentum about the origin.  The scheme makes
-``momentum_defect`` itself (``ngvisco.forms.impulses``): no force accounts for it.  The columns ``defect_*``
-are its parts; the remainder comes from the iteration and the limiter.
+holds at every step of every scheme, and likewise for angular momentum about the origin.  No force causes
+``momentum_defect``; the scheme itself makes this momentum (``ngvisco.forms.impulses``).  The columns
+``defect_*`` are parts of ``momentum_defect``; the remainder comes from the iteration and the limiter.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ IMPULSE, ANGULAR = "impulse_", "angular_"
 TRANSFERRED = "impulse_transfer"
 """Column of the change of momentum when a state is carried over to another mesh or other parameters."""
 _ROUNDING = 1e-9
-"""Fraction of the largest exchange, and of the stresses' impulse, that allows for rounding: it is added to
-the moving momentum of every direction."""
+"""Fraction of the largest exchange, and of the stresses' impulse, that is added to the moving momentum of
+every direction, to allow for rounding."""
 LOST = 0.05
 """Value of ``momentum_defect_relative`` above which a run warns."""
 
@@ -62,8 +62,8 @@ def unit(name: str) -> str | None:
 
 @dataclass(frozen=True)
 class _Totals:
-    """Totals of all rows so far, by motions: defect, exchange, last momentum; the largest |momentum|; and
-    the impulse of stresses within the body."""
+    """Totals of all rows so far: for each motion the defect, the exchange and the last momentum; the largest
+    |momentum|; and the impulse of stresses within the body."""
 
     defect: np.ndarray
     exchanged: np.ndarray
@@ -83,7 +83,7 @@ class Momentum:
         """Lever arm of each motion, m: the mesh's reach for rotations; 1 for translations."""
         self._given = [IMPULSE + name for name in self.impulses.names]
         self._at_once: list[str] = []
-        """Names of impulses in earlier parts of the run, and of transfers between parts."""
+        """Names of the impulses in earlier parts of the run, and of the transfers between parts."""
         self._has_warned = False
         self.resume([])
 
@@ -105,7 +105,7 @@ class Momentum:
         return dict(zip([*self._names("momentum"), SIZE], parts, strict=True))
 
     def foreign(self, names: Iterable[str]) -> list[str]:
-        """Columns of the impulses that an earlier part of the run has and this part lacks."""
+        """Columns of impulses that an earlier part of the run has, but not this part."""
         names = set(names)
         return [name for quantity in self._others(names) for name in self._names(quantity) if name in names]
 
@@ -115,7 +115,7 @@ class Momentum:
         return sorted(set(impulses) - {*self._given, *self._at_once})
 
     def keep(self, names: Iterable[str]) -> None:
-        """Add columns for the impulses among ``names`` that this part of the run does not have."""
+        """Add columns for those impulses in ``names`` that this part of the run does not have."""
         self._at_once += self._others(names)
 
     def forces(self) -> dict[str, float]:
@@ -124,11 +124,12 @@ class Momentum:
         return self._named(forces)
 
     def force_densities(self, u: Fields) -> dict[str, list[Integrand]]:
-        """Integrands of ``forces`` at ``u`` by columns, of walls' impulses without the residual's rows."""
+        """Integrands of ``forces`` at ``u``, by columns; walls' impulses are without the residual's rows."""
         return self._named(self.impulses.integrands(u))
 
     def _named(self, of_causes: Mapping[str, Sequence[OfMotion]]) -> dict[str, OfMotion]:
-        """Values by columns, from values of the motions by names of impulses and ``DEFECTS``."""
+        """Values by columns, from ``values``, which has an array over the motions for each name of an impulse
+        and of ``DEFECTS``."""
         by_columns: dict[str, OfMotion] = {}
         for name, values in of_causes.items():
             quantity = f"defect_{name}" if name in DEFECTS else IMPULSE + name
@@ -137,7 +138,7 @@ class Momentum:
 
     @property
     def of_steps(self) -> list[str]:
-        """Columns whose value in a step is its length times the mean of ``forces`` over its stages."""
+        """Columns whose value in a step is the step's length times the mean of ``forces`` over the stages."""
         return [name for quantity in (*self._given, *_PARTS) for name in self._names(quantity)]
 
     @property
@@ -148,7 +149,8 @@ class Momentum:
 
     @property
     def balances(self) -> dict[str, tuple[str, list[str]]]:
-        """Columns of the momentum and of impulses whose change and sum differ by a defect, by its column."""
+        """Columns of the momentum and of impulses, by the column of the defect by which the momentum's change
+        and the impulses' sum differ."""
         impulses = [self._names(quantity) for quantity in self._given]
         names = zip(self._names("momentum"), *impulses, strict=True)
         return {
@@ -162,7 +164,7 @@ class Momentum:
         return dict(zip(self._names(TRANSFERRED), map(float, change), strict=True))
 
     def start(self, values: Mapping[str, float]) -> dict[str, float]:
-        """The columns at a run's start, without exchange."""
+        """The columns of a run's first row, without exchange."""
         return dict.fromkeys(self.columns, 0.0) | {name: values[name] for name in self.densities()}
 
     def row(self, values: Mapping[str, float], tau: float, at_end: np.ndarray | None) -> dict[str, float]:
@@ -184,8 +186,8 @@ class Momentum:
         defect = self._array(row, "momentum") - self._totals.last - sum(impulses, np.zeros(len(self.motions)))
         row |= dict(zip(self._names(DEFECT), map(float, defect), strict=True))
         totals = self._added(row | {"stored": values["stored"], "dt": tau})
-        # a direction without a load has rounding from the impulses in other directions, and a body that is
-        # clamped under stress from the walls' reactions, although their sum vanishes
+        # in a direction without a load, impulses in other directions leave rounding; so do the reactions of
+        # walls to a body that is clamped under stress, although the sum of the reactions vanishes
         rounding = _ROUNDING * ((totals.exchanged / self._reach).max(initial=0.0) + totals.stressed)
         moving = totals.moving + values["mass"] * self._velocity() + rounding
         scale = self._reach * moving + totals.exchanged
@@ -206,7 +208,7 @@ class Momentum:
         self._totals = self._added(row)
 
     def resume(self, rows: Iterable[Mapping[str, float]]) -> None:
-        """Start the totals anew and count ``rows``."""
+        """Start the totals anew, and add ``rows`` to them."""
         zero = np.zeros(len(self.motions))
         self._totals = _Totals(zero, zero, 0.0, 0.0, zero)
         for row in rows:

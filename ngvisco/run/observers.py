@@ -36,13 +36,14 @@ if TYPE_CHECKING:
 
 
 DEAR = 10.0
-"""Ratio of a step's seconds and the median of earlier steps, above which a progress line says the seconds."""
+"""A progress line gives a step's seconds if the step took more than this number of medians of earlier
+steps."""
 _STEPS_BEFORE, _NOTICED = 5, 0.1
-"""Least number of steps for a median, and least seconds that a progress line says."""
+"""Least number of steps for a median, and least number of seconds that a progress line gives."""
 
 
 class Progress:
-    """Prints a line for a step: time, energy, closure, Newton iterations, time to go.
+    """Prints a line for a step: time, energy, closure, Newton iterations, and remaining time.
 
     The line also gives the seconds of a step that took ten times the median of earlier steps.
     Raises ParameterError if a parameter is out of its range.
@@ -79,7 +80,7 @@ class Progress:
             self._dear = f"took {cost:.3g} s, {cost / usual:.0f} times the median  "
 
     def _left(self, simulation: Simulation) -> str:
-        """The time to go in words; "" before the first step."""
+        """The remaining time in words; "" before the first step."""
         left, covered = max(self.until - simulation.t, 0.0), simulation.t - self._from
         spent = clock.perf_counter() - self._began
         return f"{spent * left / covered:.0f} s left" if covered > 0 else ""
@@ -122,7 +123,7 @@ class Progress:
 
     def finish(self, simulation: Simulation) -> None:
         is_at_end = self._is_at_end(simulation)
-        if not (is_at_end or simulation.stop_requested):  # the run goes on
+        if not (is_at_end or simulation.stop_requested):  # an error of the output does not end the run
             return
         word = "finished" if is_at_end else "stopped"
         self._print(f"{word} at t = {simulation.t:g} s after {steps_in_words(simulation)}")
@@ -217,7 +218,7 @@ class LedgerCSV:
         append(self.path, csv_text([[row[name] for name in simulation.ledger.columns]]))
 
     def finish(self, simulation: Simulation) -> None:
-        """Do nothing: every row is written by now."""
+        """Do nothing, because all rows have been written."""
 
 
 SUBDIVISION = Declared("from 0 to 4", (int,))
@@ -229,11 +230,11 @@ class VTKSeries:
 
     By default the files have velocity, density, the material's variables, Cauchy stress, pressure and von
     Mises stress, with labelled components; vectors are padded to three components.  Fractions of bodies, by
-    which movies and scenes outline bodies, are always written.  Cells have points of their own, where fields
-    may jump; in a series of ``velocity`` alone they share points.  A resumed run drops the state that the
-    interrupted run wrote out of turn when it stopped.  The first and the last state have files too; with
-    ``every=None`` the others are those at ``times``.
-    Raises ParameterError if a parameter is out of its range.
+    which movies and scenes outline bodies, are always written.  Each cell has its own points, because fields
+    may jump between cells; in a series of ``velocity`` alone cells share points.  A resumed run drops the
+    state that the interrupted run wrote out of turn when it stopped.  The first and the last state have files
+    too; with ``every=None`` all other files are at ``times``.  Raises ParameterError if a parameter is out of
+    its range.
 
     Parameters
     ----------
@@ -332,7 +333,7 @@ def dissipation_advice(simulation: Simulation) -> str | None:
     def total(kind: str) -> float:
         return float(ledger.exchanged(*(entry.name for entry in ledger.entries if entry.kind == kind))[-1])
 
-    # the energy lost in a transfer to another mesh is not in it
+    # this dissipation is without the energy lost in a transfer to another mesh
     numerical = float(ledger.exchanged(*NUMERICAL)[-1])
     physical, stored = total("dissipation"), ledger.column("stored")
     moved = max(ledger.column("kinetic").max(), abs(stored - stored[0]).max()) + abs(total("power"))

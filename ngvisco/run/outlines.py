@@ -1,4 +1,4 @@
-"""The part of a plane in which a piecewise linear function is at least a level, and its outline.
+"""The part of a plane in which a piecewise linear function is at or above a level, and the part's outline.
 
 Triangles have columns of values at their corners; the first two columns are x and y.  All values are linear
 between the corners.
@@ -14,7 +14,8 @@ from scipy.spatial import cKDTree
 _CHUNK = 1_000_000
 """Number of pairs of points and segments in one array."""
 _OPPOSITE = 0.8
-"""Cosine of the angle between an outward normal and the way to another place, above which both face."""
+"""Two places of an outline face each other if the cosine of the angles between outward normal and direction
+to the other place is above this value."""
 
 
 @dataclass(frozen=True)
@@ -37,13 +38,14 @@ class Cut:
 
     @classmethod
     def of(cls, corners: np.ndarray, points: np.ndarray, values: np.ndarray, level: float) -> Cut:
-        """Cut triangles with corners, (triangles, 3, columns), points' numbers and values, (triangles, 3)."""
+        """Cut triangles with ``corners``, (triangles, 3, columns), and with numbers of points and values at
+        the corners, (triangles, 3)."""
         a, b = corners[:, 1, :2] - corners[:, 0, :2], corners[:, 2, :2] - corners[:, 0, :2]
         turned = a[:, 0] * b[:, 1] < a[:, 1] * b[:, 0]
         order = np.where(turned[:, None], [0, 2, 1], [0, 1, 2])
         above = np.take_along_axis(values, order, axis=1) >= level
         count = above.sum(axis=1)
-        # the corner that is alone on its side stands first, the others after it, counterclockwise
+        # first the corner that is alone on its side of the line, then the other corners counterclockwise
         alone = np.where(count == 1, above.argmax(axis=1), (~above).argmax(axis=1))
         order = np.take_along_axis(order, (alone[:, None] + [0, 1, 2]) % 3, axis=1)
         corners = np.take_along_axis(corners, order[:, :, None], axis=1)
@@ -116,7 +118,7 @@ class Moments:
         """Moments of triangles whose first columns are x, y, v_1, v_2; None without an area."""
         if not len(inside):
             return None
-        origin = inside[:, :, :2].mean(axis=(0, 1))  # far from the origin moments would cancel
+        origin = inside[:, :, :2].mean(axis=(0, 1))  # moments about a distant origin would lose digits
         x = inside[:, :, :2] - origin
         columns = np.concatenate([np.ones_like(x[:, :, :1]), x, inside[:, :, 2:4]], axis=2)
         a, b = x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]
@@ -145,9 +147,9 @@ class Moments:
     def turning(self) -> float:
         """Rate at which matter turns in coordinates that make the ellipse of inertia a disc, rad/s.
 
-        With second moments M = S^2 and M' = L M + M L^T it is the skew part of S^-1 L S - S^-1 S', the rate
-        of the rotation R in F = S R.  For a body that turns rigidly it is the angular velocity; for an
-        ellipse at rest whose matter goes round it is 2 pi over the period.
+        With second moments M = S^2 and M' = L M + M L^T the rate is the skew part of S^-1 L S - S^-1 S', the
+        rate of the rotation R in F = S R.  For a rigid rotation the rate is the angular velocity; for an
+        ellipse at rest with circulating matter the rate is 2 pi over the period.
         """
         squares, axes = np.linalg.eigh(self.second)
         s = np.sqrt(squares)
@@ -159,7 +161,7 @@ class Moments:
 
 @dataclass(frozen=True)
 class Gap:
-    """The place where two outlines are closest: a point of one, and a point on a segment of the other.
+    """The closest points of two outlines: a point of one outline, and a point on a segment of the other.
 
     Attributes
     ----------
@@ -194,7 +196,7 @@ def distance(one: np.ndarray, other: np.ndarray) -> float:
 
 
 def facing(ends: np.ndarray) -> float:
-    """Least distance in cells of two places of an outline that face each other across what is outside.
+    """Least distance, in cells, between two places of an outline that face each other across the outside.
 
     ``ends``, (segments, 2, columns), has the size of cells in the column after x, y, v_1, v_2. Places that
     are more than a cell apart are not compared; the result is inf if none face each other.
@@ -219,7 +221,8 @@ def facing(ends: np.ndarray) -> float:
 def _to_segments(
     points: np.ndarray, ends: np.ndarray, is_turned: bool
 ) -> tuple[float, bool, int, int, float]:
-    """Least distance of points from segments, and its place, as the attributes of a ``Gap``."""
+    """Least distance of points from segments, and the place of the least distance, as the attributes of a
+    ``Gap``."""
     start, along = ends[:, 0, :2], ends[:, 1, :2] - ends[:, 0, :2]
     squares = np.maximum((along**2).sum(axis=1), np.finfo(float).tiny)
     least, place, step = np.inf, (0, 0, 0.0), max(1, _CHUNK // len(ends))

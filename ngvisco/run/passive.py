@@ -1,4 +1,4 @@
-"""Passive fields, which the flow carries by the run's own time scheme, and which have no effect on the flow.
+"""Passive fields, which the flow carries by the run's own time scheme and which do not act on the flow.
 
 | name          | equation                                              | start |
 |---------------|-------------------------------------------------------|-------|
@@ -7,16 +7,16 @@
 | creep_strain  | dt kappa + (v . grad) kappa = sqrt(2/3) |Pi|, one field a branch in a network | 0 |
 
 F_0 is the initial elastic distortion, since earlier creep is not known; F_tot equals F until creep sets in.
-On meshes of two dimensions its entry F_33, if it is not 1, is carried as a scalar, about an axis at the rate
-v_r/r.
+On meshes of two dimensions the entry F_33 is carried as a scalar unless it is 1; about an axis F_33 grows at
+the rate v_r/r.
 
 Each stage of the scheme is a linear problem with the stage's velocity: implicit Euler from the combination of
-earlier stages that the scheme prescribes.  Transport has the upwind traces of the material's variables, on
-discontinuous P_k, k the velocity's order (with P_1 the gradient of xi in the cells is less than half of its
-right value at h = 0.2).  The columns of F_tot share one matrix, the components of all other fields a second
-one; GMRES takes 10 to 20 iterations.  In place of xi the displacement x - xi is carried, which is periodic in
-a periodic flow; xi may then lie outside the domain.  Matter that flows in through a wall has the interior
-values, since its origin is not known.
+earlier stages that the scheme prescribes.  Transport has the upwind traces of the material's variables.
+Passive fields are discontinuous P_k, with the velocity's order k: in P_1 the cellwise gradient of xi is less
+than half of the right value at h = 0.2.  The columns of F_tot share one matrix, and the components of all
+other fields share a second matrix; GMRES takes 10 to 20 iterations.  In place of xi the displacement x - xi
+is carried, which is periodic in a periodic flow; xi may then lie outside the domain.  Matter that flows in
+through a wall has the interior values, since its origin is not known.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class PassiveFields:
         self._unsolved: set[str] = set()
         self._has_warned = False
         self.parts: dict[str, GridFunction] = {}
-        """Grid functions that are carried, by name; each holds a scalar or vector part of a field."""
+        """Carried grid functions by name; each one is a scalar or vector part of a field."""
         self._sources: dict[str, CoefficientFunction] = {}
         self._solvers: dict[str, _Carrier] = {}
         if "F_tot" in self.names:
@@ -124,7 +124,8 @@ class PassiveFields:
 
     @property
     def unsolved(self) -> int:
-        """Number of parts that are not solved in the present step, which does not depend on them."""
+        """Number of parts whose systems are not solved in the present step; the step itself does not depend
+        on these parts."""
         return len(self._unsolved)
 
     def begin(self) -> None:
@@ -137,7 +138,7 @@ class PassiveFields:
         The present state and the length in the step's context must be the stage's.
         """
         for carrier in dict.fromkeys(self._solvers.values()):
-            carrier.form.Assemble()  # the matrix is that of the present velocity and step length
+            carrier.form.Assemble()  # assembles the matrix for the present velocity and step length
         carried = {}
         for key, solver in self._solvers.items():
             old = _combined(weights, self._stages, key)
@@ -225,7 +226,7 @@ class _Carrier:
         self.form += rules.cells(cells.Compile())
         self.form += rules.facets(facets.Compile())
         self._preconditioner = ngs.Preconditioner(self.form, "local")
-        # the old value has the quadrature of the matrix: with another rule a field at rest would grow
+        # old values are integrated by the matrix's rule; by another rule a field at rest would grow
         self._old = GridFunction(self.cells)
         self._load = ngs.LinearForm(self.space)
         self._load += rules.cells(c.rate(inner(self._old, g)))
@@ -237,7 +238,7 @@ class _Carrier:
         """Coefficients of the field after a step from ``old``, with the form's present matrix.
 
         Returns the coefficients, and whether the linear system is solved.  If the system is not solved, the
-        coefficients are the last iterate, or ``old`` if the iterate is no number.
+        coefficients are the last iterate, or ``old`` if the iterate is not finite.
         """
         is_solved = True
         form, solution = self.form, self._solution
@@ -257,7 +258,7 @@ class _Carrier:
                 printrates=False,
             )
             solution.vec.data = solver * reduced
-            # GMRES does not list the residual of its first iteration, which solves a system of a body at rest
+            # one iteration solves the system of a body at rest, and GMRES lists no residual of that iteration
             rest = (reduced - form.mat * solution.vec).Evaluate()
             self._traces.Project(rest)
             is_solved = bool(rest.Norm() <= ENOUGH * reduced.Norm())

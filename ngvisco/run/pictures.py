@@ -64,7 +64,8 @@ def save(fig: Any, path: AnyPath) -> None:
 
 
 def widened(low: float, high: float) -> tuple[float, float]:
-    """The range of a quantity; if it varies by rounding only, a tenth of its size around it."""
+    """The range of a quantity; for a quantity that varies by rounding only, a tenth of its size around the
+    value."""
     size = max(abs(low), abs(high))
     more = 0.05 * size if high - low < _LEVEL * size else 0.0
     return low - more, high + more
@@ -72,17 +73,17 @@ def widened(low: float, high: float) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Colours:
-    """A scale of colours: matplotlib's norm, and the ends at which values lie beyond it (its ``extend``)."""
+    """A scale of colours: matplotlib's norm, and ``extend``, the ends beyond which values lie."""
 
     norm: Any
     extend: str
 
     @classmethod
     def of(cls, name: str, values: np.ndarray) -> Colours:
-        """The scale for a field's values: from the least to the largest value, unless a spike sets these.
+        """The scale for a field's values, from the least to the largest value without spikes.
 
-        If the range of most values is a small part of the whole range, the scale has the smaller range.
-        Positive rates that differ by orders of magnitude have a logarithmic scale.
+        If most values lie in a small part of the whole range, the scale has this smaller range. Positive
+        rates that differ by orders of magnitude have a logarithmic scale.
         """
         norms = importlib.import_module("matplotlib.colors")
         low, high = float(values.min()), float(values.max())
@@ -97,7 +98,7 @@ class Colours:
 
 
 def is_rate(name: str) -> bool:
-    """Whether a field of this name or title is a rate of strain."""
+    """Whether a field with this name or title is a rate of strain."""
     return "rate" in name or name.endswith("1/s")
 
 
@@ -229,7 +230,7 @@ class _Picture:
         self.show(frame)
 
     def _mark(self, letter: str, along: Any, side: np.ndarray, longest: float) -> None:
-        """Label an axis with its name and with numbers, fewer for a side that is short beside the longest."""
+        """Label an axis with its name and with numbers; a short side of the body has fewer numbers."""
         ends, share = (float(side.min()), float(side.max())), float(np.ptp(side)) / longest
         label = f"{letter}, {self._unit}"
         if share > 0.45:
@@ -261,7 +262,7 @@ class _Picture:
         for artist in [*self.images, *self._lines]:
             artist.remove()
         points, triangles, between = self._corners(frame)
-        # matplotlib mixes the corners' colours; between very different values a mixture is not on the scale
+        # matplotlib mixes the colours of corners, and a mixture of very different colours is not on the scale
         finer = int(np.clip((_DRAWN / len(triangles)) ** 0.5, 1, _PIECES))
         lattice, small = subdivision(2, finer)
         weights = np.column_stack([1 - lattice.sum(axis=1), lattice])
@@ -355,11 +356,12 @@ def _writer(kind: str, rate: float) -> Any:
     if kind == "mp4":
         if shutil.which(rcParams["animation.ffmpeg_path"]) is None:
             raise PlotError("an mp4 needs ffmpeg, which is not on the path: install it, or ask for a .gif")
-        even = "pad=ceil(iw/2)*2:ceil(ih/2)*2"  # the codec wants even sizes
+        even = "pad=ceil(iw/2)*2:ceil(ih/2)*2"  # the codec needs even sizes
         return FFMpegWriter(fps=rate, extra_args=["-vf", even, "-pix_fmt", "yuv420p"])  # type: ignore[arg-type]
 
     class Gif(PillowWriter):
-        """A gif in the scale's colours and greys: by Pillow's own choice of 256 colours a scale has steps."""
+        """Write a gif with the scale's colours and greys; with 256 colours of Pillow's choice a scale would
+        have steps."""
 
         def finish(self) -> None:
             frames = vars(self)["_frames"]

@@ -35,7 +35,7 @@ _PANELS = {
     "Courant number |v| dt/h": ["cfl"],
 }
 _OF_STEPS = ("newton_iterations", "rejections", "dt", "cfl")
-"""Columns of steps, which the initial row does not have."""
+"""Columns that belong to a step, so that the initial row does not have them."""
 _OF_BODIES = {"x": "m", "y": "m", "z": "m", "kinetic": "J", "stored": "J"}
 _MOST = 16
 """Largest number of axes in a picture; further columns are left out."""
@@ -54,7 +54,7 @@ def plot_energies(ledger: Ledger, path: AnyPath) -> None:
     above.plot(t, stored - stored[0], label="stored − initial")
     for entry in ledger.entries:
         label, column = entry.name.replace("_", " "), ledger.column(entry.name)
-        # the entry is a share of the stored energy
+        # this column is a part of the stored energy
         if entry.kind == "monitor" and entry.name.startswith("stored_"):
             above.plot(t, column - column[0], "-.", label=f"{label} − initial")
         elif entry.kind in _OF_ENERGY:
@@ -102,9 +102,11 @@ def plot_schemes(ledgers: Mapping[str, Ledger], path: AnyPath) -> None:
 
 
 def plot_history(ledger: Ledger, path: AnyPath) -> None:
-    """Plot dissipations and powers, extrema, iterations and step lengths over time, an axis for each, and
-    with heat the production of entropy and the temperature; formats as ``plot_energies``.  A quantity that
-    varies by rounding only is drawn as a level line."""
+    """Plot dissipations and powers, extrema, iterations and step lengths over time, each in its own axes.
+
+    A run with heat also has axes of the production of entropy and of the temperature.  Formats are those of
+    ``plot_energies``.  A quantity that varies by rounding only is drawn as a horizontal line.
+    """
     _require_steps("plot_history.ledger", ledger)
     kinds = {entry.name: entry.kind for entry in ledger.entries}
     rates = [name for name, kind in kinds.items() if kind in _OF_ENERGY]
@@ -141,7 +143,8 @@ def _require_steps(field: str, ledger: Ledger) -> None:
 def plot_comparison(
     runs: Mapping[str, AnyPath], out: AnyPath, fields: Sequence[str] | None = None, kind: str = "png"
 ) -> list[Path]:
-    """Compare runs, at least two directories by label, in pictures in ``out``; returns the pictures' paths.
+    """Compare at least two runs, given as directories by label; write pictures to ``out`` and return their
+    paths.
 
     The pictures are ``comparison-energies``, and ``-probes`` and ``-bodies`` with columns that all runs have;
     ``kind`` is "png", "pdf" or "svg".  ``fields`` are fields or components of the probes; default density, J,

@@ -127,13 +127,12 @@ class WallForces(Series):
 
     Raises ParameterError if a parameter is out of its range.
 
-    The parameters ``path`` and ``every`` are those of ``Series``.
-    The columns are ``WALL.force_1`` ... (N) and ``WALL.torque`` (2D) or ``WALL.torque_1`` ... (N m), per
-    metre of thickness in plane strain; for a body of revolution ``WALL.force_2``, N over 2 pi.  Forces are
-    the reactions of the solved equations, by the elastic, viscous and hyperviscous stress
-    (``ngvisco.forms.reactions``).  A row is the mean over the stages of the step that ends at its
-    time, with the scheme's weights; hence the start has no row.  Backward Euler gives the forces at the
-    step's end, the midpoint rule at its middle.
+    The parameters ``path`` and ``every`` are those of ``Series``.  The columns are ``WALL.force_1`` ... (N)
+    and ``WALL.torque`` (2D) or ``WALL.torque_1`` ... (N m), per metre of thickness in plane strain; for a
+    body of revolution ``WALL.force_2``, N over 2 pi.  Forces are the reactions of the solved equations, by
+    the elastic, viscous and hyperviscous stress (``ngvisco.forms.reactions``).  A row has means over the
+    stages of the step that ends at the row's time, with the scheme's weights; hence the start has no row.
+    Backward Euler gives the forces at the step's end, the midpoint rule at its middle.
 
     Parameters
     ----------

@@ -1,8 +1,10 @@
-"""A run over ranks: coefficients in the numbering of one process, and errors of one rank raised on all.
+"""Runs over ranks: coefficients in the numbering of one process, and errors of one rank that are raised on
+all ranks.
 
 A checkpoint has the numbering of one process, so that any number of ranks reads it.  A rank knows its cells'
 numbers in the whole mesh (``MeshPart.cells``); a cell's unknowns have the same order on the rank and in the
-whole.  Edges and faces have the same orientation too: ranks number their vertices in the whole mesh's order.
+whole mesh.  Edges and faces also have the same orientation, because ranks number their vertices in the order
+of the whole mesh.
 """
 
 from __future__ import annotations
@@ -50,7 +52,7 @@ class _Renumbering:
         parts = self._ranks.mpi.gather(values)
         if parts is None:
             return np.zeros(0)
-        result = np.zeros(self._count + 1)  # the last entry takes the values of unknowns numbered -1
+        result = np.zeros(self._count + 1)  # values of unknowns with the number -1 go into the last entry
         for numbers, part in zip(self._parts, parts, strict=True):
             result[numbers] = part
         return result[:-1]
@@ -64,10 +66,10 @@ class _Renumbering:
 class Numbering:
     """Maps a rank's unknowns to the unknowns of the whole mesh; on one process the identity.
 
-    Raises ParameterError for a mesh that ``Simulation`` did not distribute: its whole is not known.  Arrays
-    have the names of a checkpoint.  Arrays of ``stepping`` hold the unknowns that evolve, in the order of
-    ``Layout.evolving``; arrays of ``passive`` and stresses of flow rules have spaces of their own; all other
-    arrays hold all unknowns.
+    Raises ParameterError for a mesh that ``Simulation`` did not distribute, because the whole mesh is not
+    known.  Arrays have the names of a checkpoint.  Arrays of ``stepping`` hold the unknowns that evolve, in
+    the order of ``Layout.evolving``; arrays of ``passive`` and stresses of flow rules have spaces of their
+    own; all other arrays hold all unknowns.
 
     Attributes
     ----------
@@ -154,7 +156,7 @@ def _of_cells(space: FESpace, cells: Iterable[int]) -> np.ndarray:
 
 
 def tell(ranks: Communicator, observer: object, method: Callable[..., None], *arguments: object) -> None:
-    """Call an observer's method; an error on one rank is raised on all ranks."""
+    """Call an observer's method; all ranks raise an error of one rank."""
     if not ranks.is_distributed:
         method(*arguments)
         return
@@ -182,7 +184,7 @@ def ending_all_ranks() -> Iterator[None]:
 def abort_alone(error: BaseException, ranks: Communicator | None = None) -> None:
     """End all ranks if ``error`` arose on one rank alone, since the other ranks wait for it.
 
-    An error of ngvisco is raised by all ranks together, and ends none.
+    An error of ngvisco ends no rank, because all ranks raise it together.
     """
     if isinstance(error, NgviscoError) or OF_ALL_RANKS in vars(error):
         return

@@ -40,12 +40,13 @@ from ngvisco.run.snapshot import ChosenMesh, mesh_of_checkpoints
 from ngvisco.run.transfer import go_on, require_fit, transfer
 
 _TOO_LARGE = 1.5
-"""Ratio of a cell's volume and the wanted one, above which it is divided: bisection gives powers of two."""
+"""A cell is divided if the ratio of its volume to the wanted volume is above this number; bisection gives
+powers of two."""
 _SAME_TIME = 1e-9
-"""Tolerance, as a share of ``every``, of the times at which the mesh is chosen."""
+"""Tolerance of the times at which the mesh is chosen, as a share of ``every``."""
 _FLAT, _ROUNDING = 1e-9, 1e-12
-"""Variation below which a field is steep nowhere, relative to its largest value and to the run's usual
-value."""
+"""Least variation of a field that counts as steep, relative to the field's largest value and to the run's
+usual value."""
 _LEVELS = 8
 
 
@@ -84,7 +85,7 @@ class Refinement:
             raise MeshError("only triangles and tetrahedra are bisected; this mesh has other cells")
         simulation.stepper.check("Refinement.every", self.every)
         self.steep(simulation)
-        require_fit(simulation, simulation)  # later meshes have to fit in the same way
+        require_fit(simulation, simulation)  # a state has to fit later meshes in the same way
 
     def steep(self, simulation: Simulation) -> np.ndarray:
         """Whether each cell of the whole mesh is to be divided, (cells,), on the first rank; collective."""
@@ -110,7 +111,8 @@ class Refinement:
         return most[corners].max(axis=1) - least[corners].min(axis=1) > self.above * extent
 
     def _usual(self, simulation: Simulation) -> float:
-        """Usual size of a velocity, rate or stress; 0 for other fields, which are not small at rest."""
+        """Usual size of a velocity, a rate or a stress; 0 for other fields, because these do not vanish at
+        rest."""
         step, length = simulation.rothe_step, diameter(simulation.mesh, simulation.ranks)
         places = extreme_places(step, simulation.sampler) or [ExtremePlace(step.model, {}, 1.0, np.empty(0))]
         stress = max(place.density * place.scales(simulation.mesh.dim)[0] ** 2 for place in places)
@@ -166,7 +168,7 @@ def stretches(
     """
     cells, every = _First(first, simulation.ranks, refinement), refinement.every
     if simulation.number == 0 and simulation.ledger.balance is None:
-        for _ in range(refinement.levels):  # a finer mesh resolves the start values better
+        for _ in range(refinement.levels):  # on a finer mesh the start values are evaluated anew
             if (finer := cells.under(simulation)) is None:
                 break
             simulation, chosen = finer
@@ -187,7 +189,7 @@ def stretches(
 
 
 def _moved(simulation: Simulation, cells: _First) -> Simulation:
-    """The run on the mesh that its present state needs; ``simulation`` itself if it has this mesh."""
+    """The run on the mesh that the present state needs, or ``simulation`` itself if it is on this mesh."""
     if (refined := cells.under(simulation)) is None:
         return simulation
     target, chosen = refined
@@ -204,7 +206,8 @@ def _tell_checkpoints(simulation: Simulation, chosen: ChosenMesh | None) -> None
 
 
 class _First:
-    """The first mesh, of which all others are refinements; the first rank has the mesh and divides it."""
+    """The first mesh, of which all later meshes are refinements; the first rank has the mesh and divides
+    it."""
 
     def __init__(self, mesh: Mesh, ranks: Communicator, refinement: Refinement) -> None:
         self._ranks, self._refinement = ranks, refinement
@@ -216,7 +219,8 @@ class _First:
             self._volumes = _volumes(self._straight)
 
     def under(self, simulation: Simulation) -> tuple[Simulation, ChosenMesh] | None:
-        """A new run on the mesh that a simulation's state needs, and this mesh; None if the state is on it.
+        """A new run on the mesh that a simulation's state needs, and this mesh; None if the simulation is on
+        this mesh.
 
         The mesh is read from its file, as in a resumed run.  Collective."""
         marked = self._refinement.steep(simulation)

@@ -30,7 +30,7 @@ from ngvisco.physics.tensors import square
 from ngvisco.run.waves import moduli, wave_speed
 
 _AT_REST = 1e-12
-"""Largest difference of a variable from its value at rest that counts as rounding."""
+"""Largest difference between a variable and its value at rest that counts as rounding."""
 
 
 def edges_of(step: Step, ranks: Communicator) -> list[float]:
@@ -59,7 +59,7 @@ def largest_acceleration(step: Step, sampler: Sampler) -> float:
 
 @dataclass(frozen=True)
 class ExtremePlace:
-    """Laws at a point, with bodies the laws of one body alone, and the values of parameters there."""
+    """Laws and values of parameters at a point; with bodies the laws are those of one body alone."""
 
     laws: Model
     parameters: dict[str, float]
@@ -69,7 +69,8 @@ class ExtremePlace:
     """Components of the material's variables, (n,)."""
 
     def overstress(self, rate: float) -> float:
-        """Relative excess of the stress over the yield stress at a rate of shear, 1/s; 0 without yield."""
+        """Ratio of the stress beyond the yield stress to the yield stress, at a ``rate`` of shear, 1/s; 0
+        without yield."""
         creep = self.laws.creep
         if creep is None:
             return 0.0
@@ -99,8 +100,9 @@ class ExtremePlace:
 def extreme_places(step: Step, sampler: Sampler) -> list[ExtremePlace]:
     """The places where a parameter is least or largest; all ranks return the same places.
 
-    With bodies each body has its own places, among the points where it has the largest amount, and is taken
-    to be alone there; a body without parameters has one place.  Empty without parameters and bodies.
+    With bodies each body has its own places, among the points where its amount is the largest; the laws there
+    are those of the body alone.  A body without parameters has one place.  The result is empty without
+    parameters and bodies.
     """
     u, material, slices = step.now, step.model.material, step.layout.states.slices
     carried = [v.name for v in material.variables if isinstance(v, Parameter)]
@@ -111,14 +113,15 @@ def extreme_places(step: Step, sampler: Sampler) -> list[ExtremePlace]:
     order = np.argsort(np.concatenate(sampler.ranks.gathered(numbers)), kind="stable")
 
     def everywhere(f: CoefficientFunction) -> np.ndarray:
-        """Values of f at all ranks' points, in the order of one process, so that ties have one winner."""
+        """Values of f at all ranks' points, in the order of one process, so that the choice among equal
+        values does not depend on ranks."""
         return np.concatenate(sampler.ranks.gathered(np.asarray(sampler.values(f))))[order]
 
     values, rho = {name: everywhere(u.z_tensors[name]) for name in carried}, everywhere(u.rho)
     states = everywhere(u.z).reshape(len(rho), -1)
 
     def chosen(names: Sequence[str], among: np.ndarray, usual: int = 0) -> dict[int, dict[str, float]]:
-        """Points at which one of the named values is least or largest, and all values there.
+        """Points at which one of the named values is least or largest, and the values of all names there.
 
         Points whose values differ by rounding count once, since a whole line often has the least value.
         """
@@ -156,8 +159,8 @@ def extreme_places(step: Step, sampler: Sampler) -> list[ExtremePlace]:
 def typical_velocity(step: Step, sampler: Sampler, dt: float) -> float:
     """The velocity to be expected in a run, m/s, from its start and its step length ``dt``, s.
 
-    It is the largest velocity of the start, of walls, of free fall and of elastic release; with all of them 0
-    it is a tenth of the speed of sound.
+    The result is the largest velocity of the start, of walls, of free fall and of elastic release; if all of
+    these are 0, the result is a tenth of the speed of sound.
     """
     u, model, ranks = step.now, step.model, sampler.ranks
     speed = math.sqrt(sampler.extrema(square(u.v))[1])
@@ -179,7 +182,7 @@ def typical_velocity(step: Step, sampler: Sampler, dt: float) -> float:
         elastic = math.sqrt(2 * ranks.most(abs(excess) / inertia))
     walls = step.moving_walls.velocities().values()
     moving = ranks.most(np.concatenate([np.zeros(1), *(abs(v).ravel() for v in walls)]))
-    # by gravity and elastic energy matter moves at most across the domain in a step
+    # gravity and elastic energy move matter at most across the domain in a step
     farthest = length / dt
     typical = max(speed, moving, min(max(fall, elastic), farthest))
     if typical > 0:

@@ -1,7 +1,7 @@
 """Tables over time that observers write as CSV files and keep as arrays.
 
 A resumed run keeps the rows up to its checkpoint and drops rows that the interrupted run wrote out of turn
-when it stopped, so that the file equals that of an uninterrupted run.
+when it stopped, so that the file equals the file of an uninterrupted run.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ FIRST = ("step", "time")
 class Series(ABC):
     """Base class of observers that record numbers over time.
 
-    A subclass gives ``prepare``, which checks its input against the simulation and returns the columns
-    after ``step`` and ``time``, and ``_sample``, which returns rows of these columns at the present state.
-    All ranks call both together and get the same values; the first rank writes the file.
+    A subclass gives ``prepare``, which checks its input against the simulation and returns the columns after
+    ``step`` and ``time``, and ``_sample``, which returns rows of these columns at the present state. All
+    ranks call both methods together and get the same values; the first rank writes the file.
 
     A value that is not finite ends the run with a NotANumberError, which names the column and the time.
 
@@ -73,7 +73,8 @@ class Series(ABC):
 
     @abstractmethod
     def prepare(self, simulation: Simulation) -> list[str]:
-        """Check the observer's input against a simulation; return the columns after ``step`` and ``time``."""
+        """Check that the observer's input fits a simulation; return the columns after ``step`` and
+        ``time``."""
 
     @abstractmethod
     def _sample(self, simulation: Simulation) -> Any:
@@ -118,7 +119,7 @@ class Series(ABC):
         if not self.columns or self._has(simulation.number):
             return
         number, rows = self._found
-        if number == simulation.number and not self.initial:  # no step was made: the last step's rows stay
+        if number == simulation.number and not self.initial:  # without a new step the last step's rows stay
             self._add(rows, simulation)
         elif self.initial or simulation.number > 0:
             self._note(simulation)

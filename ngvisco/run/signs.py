@@ -1,4 +1,4 @@
-"""Checks of the sign of each dissipation in every step: of its column, and of its integrand at the points.
+"""Checks the sign of each dissipation in every step: the sign of its column, and of its integrand at points.
 
 The energy's ledger closes for a dissipation of the wrong sign too, since form and column share the sign.  No
 mechanism gives energy: if one does, a law has a wrong sign, and the run warns of it by name.
@@ -24,14 +24,14 @@ from ngvisco.physics.tensors import if_positive
 from ngvisco.physics.variables import Values
 
 CREEP_POWER = "creep_power_min"
-"""Column of the least M : Pi at a point, over all bodies and branches."""
+"""Column of the least M : Pi over all points, bodies and branches."""
 _NEGATIVE = 1e-9
 """Share of the total dissipation, or of the total production of entropy, by which one mechanism may be
-negative, since the iteration has an error."""
+negative through the iteration's error."""
 _ROUNDING = 1e-12
 """Share of the largest power at a point that rounding may give to a power of zero."""
 _MISSED = 0.01
-"""Share of the total dissipation that the projection of conjugates may take from a column."""
+"""Share of the total dissipation by which the projection of conjugates may lower a column."""
 _OF_CREEP, _OF_VISCOSITY = "dissipation_creep", "dissipation_stokes"
 """Columns of creep, whose power is checked at points for each body and branch, and of viscosity."""
 _WALLS_EVERY = 10
@@ -62,13 +62,13 @@ class Signs:
         self._step, self._sampler, self._warn, self._cause = step, sampler, warn, cause
         self._productions = [entry.name for entry in entries if entry.name.startswith(PRODUCTION)]
         self._nearly: list[str] = []
-        """Columns whose sign holds up to the error of the projection of conjugates."""
+        """Columns whose sign is certain only up to the error of the projection of conjugates."""
         self._columns: dict[str, list[str]] = {}
-        """Columns by checked sums: the viscous columns have a sign together, not each by itself."""
+        """Columns of each checked sum: only the sum of the viscous columns has a sign."""
         powers = step.context.rates.powers_of_creep(step.now)
         power = reduce(lambda a, b: if_positive(a - b, b, a), powers) if powers else None
         at_points = {} if power is None else {CREEP_POWER: power}
-        # the law of a projected energy may read values that are known at the forms' points alone
+        # the law of a projected energy may read values that only the forms' points have
         everywhere = step.energy.projected is None
         for entry in entries:
             name, value = entry.name, entry.integrand.cells
@@ -147,7 +147,7 @@ class Signs:
     def _check_entropy(self, row: Mapping[str, float]) -> None:
         productions = {name: row[name] for name in self._productions}
         least = min(productions, key=lambda name: productions[name], default="")
-        # near rest every production is an error of the iteration, whose size is relative to the whole entropy
+        # near rest a production is an error of the iteration, in proportion to the whole entropy
         rate = abs(row.get("entropy", 0.0)) / row["dt"]
         share, rounding = _NEGATIVE, _ROUNDING * rate
         # production by upwinding is >= 0 up to an error of projection

@@ -38,7 +38,7 @@ from ngvisco.threads import computing
 
 
 class Observer(Protocol):
-    """An observer of a run.  Its methods are called between steps, never within a step.
+    """An observer of a run.  The methods are called between steps, never within a step.
 
     A class that derives from ``Observer`` defines only the methods that it needs.
 
@@ -198,7 +198,7 @@ class Simulation(RunState):
                 raise
             try:
                 row = self.ledger.record(number, step.time, step.taken, step.rejections, step.error)
-            # after an interrupt, or a warning raised as error, no step stays without its row
+            # even after an interrupt, or a warning raised as an error, each step has a row
             except BaseException as error:
                 self.integrator.undo()
                 if isinstance(error, StepError):
@@ -242,7 +242,7 @@ class Simulation(RunState):
             for observer in self.observers:
                 try:
                     tell(self.ranks, observer, observer.finish, self)
-                except Exception as error:  # other observers must still finish their files
+                except Exception as error:  # so that other observers still finish their files
                     failure = failure or error
         if failure is not None:
             raise failure
@@ -253,7 +253,8 @@ class Simulation(RunState):
         self.stop_requested = True
 
     def notify_rejection(self, rejection: Rejection) -> None:
-        """Tell observers with a method ``rejected`` of a rejected step; the state is the one before it."""
+        """Tell observers with a method ``rejected`` of a rejected step; the state is then the one before the
+        step."""
         for observer in self.observers:
             if (rejected := getattr(observer, "rejected", None)) is not None:
                 tell(self.ranks, observer, rejected, self, rejection)
@@ -272,7 +273,7 @@ class Simulation(RunState):
         return None
 
     def _is_to_stop(self) -> bool:
-        """Whether some rank was asked to stop, as by a signal; the request then holds on all ranks."""
+        """Whether some rank was asked to stop, as by a signal; all ranks then have the request."""
         self.stop_requested = self.ranks.any(self.stop_requested)
         return self.stop_requested
 

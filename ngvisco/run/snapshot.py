@@ -112,7 +112,7 @@ def opened(path: Path) -> Iterator[h5py.File]:
 
 
 def mesh_of_checkpoints(path: AnyPath) -> ChosenMesh | None:
-    """The mesh of a run's checkpoints; None if it is the run's first one.
+    """The mesh of a run's checkpoints; None if the mesh is the run's first one.
 
     Raises CheckpointError if the file cannot be read.
     """
@@ -156,7 +156,8 @@ def take_up(
     attributes: Mapping[str, str] | None = None,
     may_differ: Collection[str] = (),
 ) -> tuple[Snapshot, list[dict[str, float]], list[tuple[int, float]]]:
-    """Load a checkpoint's state and passive fields; return the checkpoint, the ledger's rows, their limits.
+    """Load a checkpoint's state and passive fields; return the checkpoint, the ledger's rows, and the rows'
+    limits.
 
     Collective.  ``may_differ`` names parts of a run's identity that may differ; with such parts the rows have
     the file's columns, otherwise the run's.  Raises CheckpointError as ``Simulation.restore``.
@@ -177,7 +178,7 @@ def take_up(
         rows = [row for row in _rows(path, columns, names) if row["step"] <= number]
         if [row["step"] for row in rows] != list(range(number + 1)):
             raise CheckpointError(f"{path}: its ledger has not the rows of steps 0 to {number}")
-        with opened(path) as file:  # files of older versions have no limits; then the limits of this run hold
+        with opened(path) as file:  # in files of older versions, which have no limits, this run's limits hold
             limits = [(int(first), float(limit)) for first, limit in file["ledger"].attrs.get(CLOSURES, ())]
         return snapshot.numbers, list(snapshot.arrays), names, rows, limits
 
@@ -290,7 +291,7 @@ def _material_signature(material: object) -> str:
     values = [
         f"{field.name}={_signature_of(getattr(material, field.name))}"
         for field in (dataclasses.fields(material) if dataclasses.is_dataclass(material) else ())
-        if field.repr  # fields without repr, as a body's place, describe the start alone
+        if field.repr  # fields without repr, as a body's place, describe only the start
     ]
     return f"{type(material).__name__}({', '.join(values)})"
 

@@ -1,4 +1,4 @@
-"""The parts of a run and its present time, as all that reads a run sees them.
+"""The parts of a run and its present time, for everything that reads a run.
 
 ``ngvisco.run.simulation.Simulation`` moves the time and has the observers.
 """
@@ -59,7 +59,7 @@ class RunState:
         self._cells_here = mesh.ne
         self._t, self._number, self.stop_requested = 0.0, 0, False
         self.check_data(0.0)
-        run_time.Set(0.0)  # start values and walls are evaluated at t = 0, whatever ran before
+        run_time.Set(0.0)  # start values and walls are evaluated at t = 0, also after other runs
         F_0 = set_initial(step, initial, self.sampler)
         typical = time.velocity_scale or typical_velocity(step, self.sampler, self.dt)
         self.set_velocity_scale(float(typical))
@@ -89,7 +89,7 @@ class RunState:
     def set_time(self, t: float, number: int) -> None:
         """Set the number and the time ``t`` (s) of the present state, as a restart does.
 
-        If ``t`` is not to be a multiple of dt, see ``stepper.begin``.
+        If ``t`` is not a multiple of dt, see ``stepper.begin``.
         """
         self._t, self._number = t, number
         run_time.Set(t)
@@ -130,7 +130,7 @@ class RunState:
 
     @property
     def step_under_way(self) -> int:
-        """Number of the next step, or of the step that the run is within."""
+        """Number of the next step, or of the present step within which the run is."""
         return self.step_number + self.is_due(1)
 
     def is_due(self, every: int) -> bool:
@@ -140,7 +140,7 @@ class RunState:
 
     @property
     def is_adaptive(self) -> bool:
-        """Whether the run chooses its step lengths."""
+        """Whether the run itself chooses its step lengths."""
         return isinstance(self.stepper, AdaptiveStepper)
 
     @property

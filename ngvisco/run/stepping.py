@@ -9,14 +9,14 @@ tolerance.  A step with a larger error is rejected and tried again with the leng
 
     tau (0.9 tolerance/e)^(1/(p+1)),
 
-p the scheme's order; after an accepted step the length is that of a PI controller (Gustafsson),
+p the scheme's order; after an accepted step a PI controller (Gustafsson) sets the length
 
     tau (0.9 tolerance/e)^(0.7/(p+1)) (e_old/(0.9 tolerance))^(0.4/(p+1)),
 
-within a factor of 2.  A change by less than 10 % is not made, since another length costs a new factorisation.
-After a rejection the next length does not grow.  Without a tolerance, or without an estimate (the first p
-steps), the length is doubled after ``patience`` accepted steps.  The energy identity holds for any sequence
-of lengths.
+within a factor of 2.  The length is not changed by less than 10 %, since another length needs a new
+factorisation.  The length does not grow directly after a rejection.  Without a tolerance, or without an
+estimate (the first p steps), the length is doubled after ``patience`` accepted steps.  The energy identity
+holds for any sequence of lengths.
 """
 
 from __future__ import annotations
@@ -50,19 +50,19 @@ from ngvisco.timestepping.scheme import TimeScheme, midpoint, scheme_of
 _ROUNDING, _NEAR = 1e-9, 1e-3
 
 SAFETY = 0.9
-"""Share of the tolerance at which the controller aims."""
+"""Error at which the controller aims, as a share of the tolerance."""
 
 INTEGRAL, PROPORTIONAL = 0.7, 0.4
 """Exponents of the PI controller, times the order of the local error."""
 
 LARGEST_CHANGE, UNCHANGED = 2.0, 0.1
-"""Largest factor by which a length changes, and the relative change below which it is kept."""
+"""Largest factor by which a length changes, and the relative change below which the length is kept."""
 
 LEAST_CONSTANT = 1e-2
-"""Error constant of a scheme, times (p + 1)!, below which it gives no estimate of the local error."""
+"""A scheme whose error constant times (p + 1)! is below this number gives no estimate of the local error."""
 
 HALVINGS, MOST_HALVINGS = 3, 20
-"""Number of halvings of a step of fixed length that is not solved: by default, and at most."""
+"""Default and largest number of halvings of a step of fixed length that is not solved."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,7 +186,7 @@ class Rejection:
 
 @dataclass(frozen=True)
 class Accepted:
-    """Record of an accepted step for the ledger, besides the state; ``time`` is the step's end, s."""
+    """Data of an accepted step for the ledger, beside the state; ``time`` is the step's end, s."""
 
     time: float
     taken: StepTaken
@@ -209,9 +209,9 @@ class Stepped(Protocol):
 
 
 def _turn(solver: RotheSolver, turned: bool) -> str:
-    """Let the other solver take a step that was not solved; return words about the change.
+    """Let the other solver take a step that was not solved; return a sentence about the change.
 
-    Raises StepError with the reason if the other solver is not to be tried, or has been (``turned``).
+    Raises StepError with the reason if the other solver may not be tried, or was tried (``turned``).
     """
     if turned:
         raise StepError(f"the {solver.turns.other} solver has not solved it either")
@@ -236,18 +236,18 @@ class FixedStepper:
         return  # steps of one length need no estimate of a step
 
     def begin(self, time: float, number: int) -> None:
-        """Count steps from the state ``number`` at ``time``, as after steps with another dt."""
+        """Count steps from the state ``number`` at ``time``, for instance after steps with another dt."""
         self._start, self._first, self._level = time, number, 0
 
     def _position(self, time: float) -> int:
         return round((time - self._start) / self.dt * self._parts)
 
     def _time(self, position: int) -> float:
-        # n dt, not a running sum: a restarted run has the same times
+        # n dt, not a running sum, so that a restarted run has the same times
         return self._start + position / self._parts * self.dt
 
     def met(self, time: float) -> float:
-        """The end of a step, s, that is within a thousandth of dt of ``time``; else ``time`` itself."""
+        """The end of a step, s, if one is within a thousandth of dt of ``time``; else ``time`` itself."""
         number = round((time - self._start) / self.dt)
         end = self._time(number * self._parts)
         is_near = abs(end - time) <= _NEAR * self.dt and not math.isclose(end, time, rel_tol=_ROUNDING)
@@ -262,14 +262,14 @@ class FixedStepper:
             raise ParameterError(name, time, f"a multiple of dt = {self.dt:g}{after}")
 
     def reached(self, run: Stepped, time: float) -> bool:
-        """Whether the present state is that of ``time`` or later."""
+        """Whether the present state is the state at ``time`` or a later one."""
         return self._position(run.t) >= self._position(time)
 
     def step_of(self, time: float, number: int) -> tuple[int, bool]:
-        """Number of the step to which the state at ``time`` (s), row ``number`` of the ledger, belongs, and
-        whether the state ends the step, not a part."""
+        """Number of the step to which the state at ``time`` (s) belongs, and whether the state ends the step
+        and not only a part.  ``number`` is the state's row in the ledger."""
         position = self._position(time)
-        if position < 0:  # steps of another length led to this time
+        if position < 0:  # the steps up to this time had another length
             return number, True
         whole, part = divmod(position, self._parts)
         return self._first + whole + (part > 0), part == 0
@@ -313,13 +313,13 @@ class FixedStepper:
         """Load the numbers and arrays that ``state_dict`` gave."""
         t = run.t
         self.begin(numbers.get("start", t), int(numbers.get("first", run.number)))
-        if "first" not in numbers or self._time(self._position(t)) != t:  # steps of other lengths led to t
+        if "first" not in numbers or self._time(self._position(t)) != t:  # steps up to t had other lengths
             self.begin(t, run.number)
         self._level = min(int(numbers.get("level", 0)), self.halvings)
 
 
 class AdaptiveStepper:
-    """Steps whose lengths follow from errors and failures; the methods are those of ``FixedStepper``."""
+    """Steps whose lengths follow from errors and failures, with the methods of ``FixedStepper``."""
 
     def __init__(self, dt: float, options: AdaptiveSteps) -> None:
         self.options = options
@@ -360,7 +360,7 @@ class AdaptiveStepper:
             try:
                 step = integrator.advance(t, tau, run.number, meets=new_time == stop)
             except StepError as failure:
-                # the message of the cause does not repeat the step
+                # the cause's message without the step
                 reason = str(failure.__cause__ or failure)
                 history, shorter = failure.history, tau / 2
                 if shorter < self.options.dt_min:
@@ -374,7 +374,7 @@ class AdaptiveStepper:
                     new_time = t + step.tau
                 try:
                     error = None if estimate is None else estimate(new_time, scheme)
-                except BaseException:  # an interrupt must not leave the state of an unaccepted step
+                except BaseException:  # also after an interrupt, no state of an unaccepted step stays
                     integrator.undo()
                     raise
                 history, shorter = (), tau / LARGEST_CHANGE
@@ -423,7 +423,7 @@ class AdaptiveStepper:
             if self.streak >= self.options.patience:
                 self.dt, self.streak = min(2 * self.dt, self.options.dt_max), 0
             return
-        # the floor of the error: an error of 0 does not scale with tau
+        # a floor, because an error of 0 does not scale with tau
         aim, floor = SAFETY * tolerance, 1e-3 * tolerance
         power = 1 / (order + 1)
         factor = (aim / max(error, floor)) ** (INTEGRAL * power)
@@ -431,7 +431,7 @@ class AdaptiveStepper:
             factor *= (max(last, floor) / aim) ** (PROPORTIONAL * power)
         factor = min(max(factor, 1 / LARGEST_CHANGE), 1.0 if was_rejected else LARGEST_CHANGE)
         if abs(factor - 1) > UNCHANGED and (factor < 1 or tau >= self.dt * (1 - _ROUNDING)):
-            # a step that was shortened to meet a time does not bound the next length
+            # the next length is not bounded by a step that was shortened to meet a time
             self.dt = min(max(factor * tau, self.options.dt_min), self.options.dt_max)
 
     def state_dict(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:

@@ -7,7 +7,8 @@ integral is kept.  The density is then scaled by one factor, so that the mass is
 each amount is scaled, and the density is the sum over bodies.  With other parameters the state is unchanged.
 
 The energy before less the energy after is the ledger's column ``transfer`` (J): in row 0 of a new ledger, or
-in the next row of a ledger that goes on, whose closure includes it.  It is positive if energy was lost.
+in the next row of a ledger that goes on, whose closure includes it.  The column is positive if energy was
+lost.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ class Transfer:
 
 
 def transfer(source: Simulation, target: Simulation) -> Transfer:
-    """Carry the state of one simulation over to another, on another mesh or in other spaces.
+    """Carry the state of one simulation over to another simulation, on another mesh or in other spaces.
 
     Raises ParameterError if the materials' variables or the passive fields do not fit, or ``target`` has made
     steps; MeshError if the domains differ; InitialDataError if a projected density or Jacobian is not
@@ -78,7 +79,8 @@ def transfer(source: Simulation, target: Simulation) -> Transfer:
         Simulation at the state to be carried over, e.g. ``nv.load("results/swirl").simulation``.
     target : Simulation
         Simulation before its first step, with the same transported variables, on a mesh of the same domain.
-        Its time becomes the source's; it counts steps from there, and its ledger begins with the new state.
+        The target takes the source's time and counts steps from there, and its ledger begins with the new
+        state.
     """
     old, new = source.rothe_step, target.rothe_step
     require_fit(source, target)
@@ -139,7 +141,7 @@ def require_fit(source: Simulation, target: Simulation) -> None:
         if isinstance(v, Amount) and densities.get(v.name, v.density) != v.density:
             name = f"bodies[{v.name.removeprefix(AMOUNT)!r}].density"
             expected = f"{densities[v.name]:.6g} kg/m^3, as in the run that it goes on"
-            # with another density either mass or volume would change
+            # because with another density either mass or volume would change
             raise ParameterError(name, v.density, expected)
     if [(v.name, repr(v)) for v in had] != [(v.name, repr(v)) for v in has]:
         names = [", ".join(v.name for v in side) for side in (had, has)]
@@ -213,8 +215,8 @@ def _set_fields(source: Simulation, target: Simulation, points: QuadraturePoints
 class _Unions:
     """New cells that are unions of old cells: fields are projected onto them by a rule at the old points.
 
-    With the new points alone the projection of a jump between old cells would depend on where points happen
-    to lie.  A rank gets the old points of all ranks and uses the points in its own new cells.
+    With the new points alone the projection of a jump between old cells would depend on the positions of the
+    points.  Each rank gets the old points of all ranks and uses the points in its own new cells.
     """
 
     def __init__(self, source: Simulation, target: Simulation, points: QuadraturePoints) -> None:
@@ -227,7 +229,7 @@ class _Unions:
         volumes = np.bincount(of_new, points.weights, count)
         filled = np.bincount(of_old[here], weights[here], count)
         has_parts = np.bincount(of_old[here], minlength=count) > np.bincount(of_new, minlength=count)
-        # the last entry is read by unions numbered -1
+        # unions with the number -1 read the last entry
         unions = np.append(has_parts & (abs(filled - volumes) <= _WHOLE * volumes), False)
         self._count = int(unions.sum())
         number = np.where(unions, np.cumsum(unions) - 1, -1)
@@ -276,7 +278,7 @@ def resume_changed(
 
     Step length, loads, walls, viscosities and the material's numbers may differ from the run's; mesh, orders
     and the list of unknowns must not.  A column of the ledger that only one of the two runs has is 0 in the
-    other.  Raises CheckpointError as ``Simulation.restore``.
+    other run's rows.  Raises CheckpointError as ``Simulation.restore``.
 
     Returns
     -------

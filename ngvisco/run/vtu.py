@@ -19,7 +19,7 @@ def write_vtu(
     subdivision: int = 0,
     is_continuous: bool = False,
 ) -> None:
-    """Write fields by name into one .vtu file, which is complete or not there.
+    """Write fields by name into one .vtu file, whole or not at all.
 
     Cells have points of their own, so that fields may jump; with continuous fields (``is_continuous``) cells
     share the points where they meet.  On several ranks each rank writes its piece, ``NAME_p<rank>.vtu``, and

@@ -22,7 +22,7 @@ def moduli(
 ) -> tuple[float, float]:
     """Moduli of longitudinal and of shear waves, dT_11/dF_11 and dT_12/dF_12 at F = I, Pa.
 
-    Carried parameters have the values in ``parameters``, by default their typical values.
+    Carried parameters take values from ``parameters``, by default typical values.
     """
     state = _rest(material, dim, parameters or {})
     longitudinal, shear = (acoustic_tensor(material, state, dim, j)[0, 0] for j in (0, 1))
@@ -38,7 +38,7 @@ def _rest(material: Material, dim: int, parameters: Mapping[str, float]) -> np.n
 
 def stress_of(material: Material, state: np.ndarray, dim: int) -> np.ndarray:
     """The Cauchy stress, 3x3, Pa, at a state, whose components are (n,)."""
-    # separate constants for the variables, so that a derivative by one does not differentiate the others
+    # each variable is a constant of its own, so that a derivative by one variable leaves the others fixed
     at, state = squares(1)[1], state.reshape(1, -1)
     z = material.states(dim).tensors(lambda: CF(tuple(float(c) for c in state[0])))
     respond, phi, zeta = material.response(dim), None, None
