@@ -19,8 +19,8 @@ below its value at rest, so that rest energy would become motion.  A state with 
 ``TimeSteps.drift`` in the mean of a cell is not admitted.
 
 The momentum density p = rho v is scaled by the factor s of rho (``limit_momentum``). |p|^2/(2 rho) is jointly
-convex, so that the limiter also lowers the kinetic energy if rho was not negative.  A body in translation
-stays so; limiting rho at a fixed momentum would change its motion.
+convex, so that the limiter also lowers the kinetic energy if rho was not negative.  The limiter does not
+change the motion of a body in translation; limiting rho at a fixed momentum would change this motion.
 
 Only a mean out of bounds cannot be corrected; the step is then given up.  Two kinds of bounds do not count:
 bounds of variables for which the material's energy is continued (``Material.continued``: a Yosida
@@ -54,7 +54,7 @@ OF_CUT_OFF = "rho_max + width - rho"
 """Name of a cut-off's bound."""
 
 SMALLER = "a smaller step or a finer mesh"
-"""Remedy for a state out of bounds."""
+"""Advice in messages about a state out of bounds."""
 
 _HALVINGS = 45
 """Number of halvings of the interval of s, which determine s to rounding, so that a limited state depends
@@ -202,11 +202,11 @@ class Bounds:
         return self._worst(outside, broken, outside.means, is_mean=True) if some else None
 
     def defect(self, is_solved: bool = True) -> str | None:
-        """Message why the present state is not admissible, or None: rho, J, ... or the temperature is not
+        """Message that the present state is not admissible, or None: rho, J, ... or the temperature is not
         positive, or a value is not a number.  A state out of bounds is kept as ``refused``.
 
-        A state that ``is_solved`` must have a stored energy.  An extrapolated end of a step may get its
-        energy by the limiter, and ``lack`` checks it afterwards.
+        A state that ``is_solved`` must have a stored energy.  The extrapolated end of a step may get a stored
+        energy only by the limiter, so that ``lack`` checks this energy afterwards.
         """
         violation = self.violation()
         if violation is not None:
@@ -242,7 +242,7 @@ class Bounds:
         if no variables do, and for a run with sources, in which they may differ."""
         self._outside()
         if self.step.sources is not None or not self._ranks.any(not self._farthest <= self.most):
-            return None  # no mean is farther than all points
+            return None  # a mean has no larger drift than the points of its cell
         for pair, drift in self._drifts.items():
             means = abs(self.step.quadrature.each_cell(drift)) / self._volumes
             far = np.flatnonzero(means > self.most)
@@ -304,7 +304,7 @@ class Bounds:
         self._share.vec[:] = 1.0
         changed, outside = self.ranges.limit(), self._outside()
         if outside is not None:
-            _ = self._means.owner  # made by all ranks together
+            _ = self._means.owner  # all ranks make this array together
             of_density = np.array([variable is None for variable in self._variables])
             if self.step.model.bodies:  # rho is a function of z
                 self._scale("z", outside, np.ones_like(of_density))
@@ -378,7 +378,8 @@ class Bounds:
         )
 
     def _required(self, count: int, points: np.ndarray, owner: np.ndarray) -> np.ndarray:
-        """Mask of the bounds that count in each cell, (cells, bounds): variables with phi'_z = 0 do not."""
+        """Mask of the bounds that count in each cell, (cells, bounds): bounds of variables with phi'_z = 0 do
+        not count."""
         required = np.ones((count, len(self.names)), dtype=bool)
         if self.step.energy.projected is not None:  # the energy has values at the quadrature points only
             return required

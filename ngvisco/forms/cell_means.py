@@ -7,8 +7,8 @@ of its start; a discontinuous polynomial overshoots at jumps.  In a cell with a 
 parameter's mean is clipped to the range, and the parameter is scaled towards its mean (Zhang and Shu, J.
 Comput. Phys. 229, 2010).
 
-``Stretches`` keeps tensors of bodies positive if the bodies' energies, being linear in the tensors, do not
-do so.
+``Stretches`` keeps tensors of bodies positive if the bodies' energies are linear in the tensors and therefore
+do not keep them positive.
 
 Body i carries n_i and X_i = n_i B, and C : (X_i - n_i I) has no minimum where X_i is not positive: such
 matter stretches without bound.  In a cell of the body where X_i is not positive at a point but its mean is
@@ -97,7 +97,7 @@ class CellMeans:
         of_cells, space = self.rho.space, self._space
         form = BilinearForm(trialspace=of_cells, testspace=space)
         form += of_cells.TrialFunction() * space.TestFunction() * dx
-        return csr(form.Assemble().mat).indices.astype(int)  # one column a row
+        return csr(form.Assemble().mat).indices.astype(int)  # each column becomes a row
 
 
 def least_of(values: np.ndarray, owner: np.ndarray, count: int) -> np.ndarray:
@@ -157,7 +157,7 @@ class Ranges:
         return ((least < low - slack) | (largest > high + slack)).T, least.T, largest.T
 
 
-_PART = 0.1  # fraction above which the body takes part (``Mixture.taking_part``)
+_PART = 0.1  # fraction above which a body counts (``Mixture.taking_part``)
 
 
 class Stretches:

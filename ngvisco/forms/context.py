@@ -50,7 +50,8 @@ class Crossing(Protocol):
     """Means of the given state over the step."""
 
     def continues(self, name: str) -> bool:
-        """Whether the wall gives no value of ``name``, ``"rho"`` or ``"z"``: the inner value is used."""
+        """Whether the wall gives no value of ``name``, ``"rho"`` or ``"z"``, so that the inner value is
+        used."""
         ...
 
 
@@ -74,7 +75,8 @@ class Context:
         """Make the context; ``energy`` may be None if the material's energy has an expression.
 
         ``momentum_old`` has the values of m_old, kg/(m^2 s), at the points of the forms' rule, which has the
-        degree ``degree``; None is rho_old v_old.  ``passages`` are the walls that matter crosses.
+        degree ``degree``; with None m_old is rho_old v_old.  ``passages`` are the walls that matter
+        crosses.
         """
         self.mesh, self.old = mesh, old
         self.energy = energy or StoredEnergy(model.material, mesh.dim)
@@ -102,7 +104,7 @@ class Context:
         self.crossed, self.passages = self.inner, tuple(passages)
         """Indicator of facets that matter crosses: 1 between cells and on ``passages``, 0 on other walls."""
         self.reach: CoefficientFunction | None = None
-        """Position relative to the cell's middle, m; None without inflow, or for z in P_0."""
+        """Position relative to the middle of the cell, m; None without inflow, or for z in P_0."""
         if passages:
             self.crossed = self.inner + sum((passage.indicator for passage in passages), CF(0.0))
             if old.layout.unknowns["z"].order:
@@ -165,7 +167,7 @@ class Context:
         )
 
     def rate(self, difference: Difference) -> Difference:
-        """Return difference/tau for a function, number, array or matrix: the only place with 1/tau.
+        """Return difference/tau for a function, number, array or matrix; only this method divides by tau.
 
         For a number the result is a coefficient function, which follows the step's length.
         """

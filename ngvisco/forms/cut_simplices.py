@@ -1,11 +1,13 @@
-"""Half-spaces that cut simplices: shares of volume, places of planes, and values where matter was before.
+"""Half-spaces that cut simplices: shares of volume, places of planes, and values at the earlier places of
+matter.
 
 A linear function h with values at the vertices of a simplex, of dimension d, is > 0 in the share
 
     s = sum over the v_i > 0 of v_i^d / prod_{j != i} (v_i - v_j)
 
-of it.  If a vertex is given twice, s is weighted with (d + 1) lambda of this vertex.  So the share of a
-volume with a linear weight w, as r about an axis, is sum_c w_c s_c / sum_c w_c, where s_c has vertex c twice.
+of it.  If a vertex is given twice, s is weighted with (d + 1) lambda of this vertex.  The share of a volume
+with a linear weight w, as r about an axis, is therefore sum_c w_c s_c / sum_c w_c, where s_c has vertex c
+twice.
 """
 
 from __future__ import annotations
@@ -17,7 +19,8 @@ from ngvisco.physics.bodies import NO_INTERFACE
 _HALVINGS = 45
 """Number of bisections that determine the place of a plane to rounding."""
 _APART = 1e-6
-"""Spacing to which equal values at the vertices of a simplex are spread, over the range of the values."""
+"""Equal values at the vertices of a simplex are spread by this spacing, relative to the range of the
+values."""
 
 
 def share_above(values: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
@@ -35,7 +38,7 @@ def share_above(values: np.ndarray, weights: np.ndarray | None = None) -> np.nda
     spread = _APART * np.maximum(np.ptp(values, axis=-1, keepdims=True), NO_INTERFACE)
     values = values + spread * np.arange(count)
     most = (values > 0).sum(axis=-1, keepdims=True) > count / 2
-    values = np.where(most, -values, values)  # few and large summands do not cancel
+    values = np.where(most, -values, values)  # few large summands, which do not cancel
     differences = values[..., :, None] - values[..., None, :] + np.eye(count)
     part = (np.maximum(values, 0.0) ** (count - 1) / differences.prod(axis=-1)).sum(axis=-1)
     return np.where(most[..., 0], 1 - part, part)
@@ -58,11 +61,12 @@ def level(heights: np.ndarray, theta: np.ndarray, weights: np.ndarray | None = N
 
 
 def before(values: np.ndarray, path: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-    """Values of linear functions, (cells, corners), where matter at the corners was before the step.
+    """Values of linear functions, (cells, corners), at the places before the step of the matter at the
+    corners.
 
-    ``values`` are those at corners, ``path`` the velocity there times the step, (cells, corners, dim),
-    ``slopes`` those of the barycentric coordinates. The error of a rigid turn by the angle phi is of order
-    phi^3.
+    ``values`` are the values at corners, ``path`` is the velocity at corners times the step, (cells, corners,
+    dim), and ``slopes`` are the slopes of the barycentric coordinates.  The error of a rigid turn by the
+    angle phi is of order phi^3.
     """
     turning = np.einsum("kcd,kce->kde", path, slopes)
     back = path - 0.5 * np.einsum("kde,kce->kcd", turning, path)  # the path is an arc

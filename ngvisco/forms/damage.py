@@ -1,14 +1,14 @@
 """The growth of damage after a step at fixed z, the second half of a staggered step.
 
-The step (rho, v, z)_old -> (rho, v, z) carries the damage d and its slope q to d* and q*.  Then they change
-by a continuous, piecewise linear delta, d = d* + delta and q = q* + G delta, the minimum of
+The step (rho, v, z)_old -> (rho, v, z) carries the damage d and its slope q to d* and q*.  Then d and q
+change by a continuous, piecewise linear delta, d = d* + delta and q = q* + G delta, where delta minimises
 
     int phi(z, d* + delta, q* + G delta) + sum_i m_i eta delta_i^2/(2 tau)      for low <= delta <= high,
 
 m_i lumped masses, G delta = grad delta, or F^T grad delta for the referential slope.  low = 0, so that damage
 never falls, or -d* with healing, whose viscosity eta holds for delta_i < 0.  high = 1 - d*, the minimum over
-a vertex' cells, so that d <= 1 at all points.  phi is quadratic in (d, q).  With its second derivative H, and
-the slope r at the minimum, including the viscosity's,
+a vertex' cells, so that d <= 1 at all points.  phi is quadratic in (d, q).  With the second derivative H of
+phi, and the slope r at the minimum, which includes the viscosity's slope,
 
     E* - E = sum_i m_i eta delta_i^2/tau + delta.H delta/2 - r.delta
 

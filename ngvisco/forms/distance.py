@@ -25,7 +25,7 @@ ENERGIES = ("kinetic", "stored")
 """Ledger columns of the parts of the energy, J."""
 
 NUMERICAL = ("inertial", "bregman")
-"""Ledger columns of the numerical dissipation of each part, J a step."""
+"""Ledger columns of the numerical dissipation of each part of the energy, J a step."""
 
 _METHODS = ("energy", "slope", "distance")
 

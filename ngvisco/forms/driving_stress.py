@@ -11,10 +11,10 @@ the rule is (Yosida).  Newton's method for (z, Y) has in the equations of z, wit
 
     Pi = rate(M*) + S (M(z) - M*),
 
-and its increment dz gives Y = (M + M' dz) + c (Pi + S M' dz), from which M* follows point by point.
-The solution satisfies Pi = rate(M(z)) for any c > 0, in Pa s; c is tau times the stress per creep strain at
-rest.  A factor of Pi is evaluated at the iterate where it multiplies S (M(z) - M*): in the matrix of (z, Y)
-its change multiplies rate(M*) only.
+and the increment dz gives Y = (M + M' dz) + c (Pi + S M' dz), from which M* follows point by point.  The
+solution satisfies Pi = rate(M(z)) for any c > 0, in Pa s; c is tau times the stress per creep strain at rest.
+A factor of Pi is evaluated at the iterate where it multiplies S (M(z) - M*): in the matrix of (z, Y) its
+change multiplies rate(M*) only.
 """
 
 from __future__ import annotations
@@ -45,7 +45,8 @@ STRESS = "stress_"
 
 @dataclass(frozen=True)
 class _State:
-    """An iterate: coefficients of z; z, zeta, M(z), the stress M* and its rate at collocation points."""
+    """An iterate: coefficients of z; and z, zeta, M(z), the stress M* and the rate at M* at collocation
+    points."""
 
     key: np.ndarray
     z: np.ndarray
@@ -81,7 +82,7 @@ class LinearisationStress:
         self._last: np.ndarray | None = None
         self._slopes = np.zeros((len(self.mechanisms), 0, p, p))
         self._frozen: _State | None = None  # the iterate of the slopes
-        self._given: np.ndarray | None = None  # the stresses of the next state
+        self._given: np.ndarray | None = None  # stresses of the next state
         self.start()
         self.state, self._own = state, layout.ranges["z"]
         self._now = self._parts(state)
@@ -106,13 +107,14 @@ class LinearisationStress:
             with np.errstate(all="ignore"):
                 strain = self._softness * _rates(rules, M)
                 share = np.linalg.norm(M, axis=2) / np.linalg.norm(strain, axis=2)
-            # the end state of a scheme such as the midpoint rule can violate the flow rule: bound its rate
+            # bounds the rate: end states, as of the midpoint rule, can violate flow rules
             self._last = np.nan_to_num(np.minimum(share, 1.0)[..., None] * strain / self._softness)
 
     def start(self) -> None:
         """Begin an iteration at the next state, with the rates of the step's start.
 
-        For values that are not a solution, a steep rule's rate(M(z)) is far off.
+        For values that are not a solution, rate(M(z)) of a steep rule would be far from the solution's
+        rate.
         """
         self._begins = self._last is not None
         self._at: _State | None = None
@@ -164,13 +166,14 @@ class LinearisationStress:
         return True
 
     def follow(self, increment: Any, length: float) -> None:
-        """Prepare the stresses for a next state: the present one minus ``length`` times ``increment``."""
+        """Prepare the stresses for a next state, the present state minus ``length`` times ``increment``."""
         if self:
             self._increment.vec.data = -1.0 * increment
             self.follow_fields(*self._values(self._parts(self._increment)), length)
 
     def follow_fields(self, dz: np.ndarray, dzeta: np.ndarray, length: float) -> None:
-        """Compute the target Y after ``length`` times the increments ``dz`` and ``dzeta`` there."""
+        """Compute the target Y after ``length`` times the increments ``dz`` and ``dzeta`` at collocation
+        points."""
         if self:
             at, old, c = self._at, self._frozen, self._softness
             assert at is not None and old is not None
@@ -206,7 +209,7 @@ class LinearisationStress:
         }
 
     def give(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Set the next state's stresses to the ``arrays`` of ``frozen``; without these they become M(z)."""
+        """Set the next state's stresses to the ``arrays`` of ``frozen``, or without arrays to M(z)."""
         if self and arrays.keys() >= self.functions.keys():
             self.start()
             given = [arrays[name].reshape(self.space.size, -1).T for name in self.functions]
@@ -265,7 +268,7 @@ def _rates(rules: Sequence[PointRate], M: np.ndarray) -> np.ndarray:
 class KeptRates(Rates):
     """Rates of a solved state from its stored stresses at collocation points.
 
-    Rounding of z would change M(z), and a steep rule would multiply this change.
+    M(z) is not used, because a steep rule would multiply the change of M(z) by rounding of z.
     """
 
     def __init__(self, rates: Rates, stresses: LinearisationStress) -> None:
@@ -340,14 +343,15 @@ class LinearisedRates(KeptRates):
 
 
 class LinearisedTabulatedRates(LinearisedRates, TabulatedRates):
-    """Linearised rates by arrays, in one or several directions of an increment at each collocation point."""
+    """Linearised rates for arrays of values, for one or several directions of an increment at each
+    collocation point."""
 
     def _stress(self, mechanism: CreepMechanism, u: UnknownValues) -> Array:
         stress, _ = self.stresses.of(mechanism)
         return Array(np.tile(stress, u.z.value.shape[-1] // max(stress.shape[1], 1)), None)
 
     def _now(self, u: UnknownValues) -> UnknownValues:
-        """The values without the imaginary parts of an increment."""
+        """The values without their imaginary parts, which belong to an increment."""
         parts = {name: Array(u.parts[name].value.real, None) for name in ("z", "zeta")}
         return Fields(
             self.stresses.layout, parts, u.context, lambda name: Array(u.gradient(name).value.real, None)

@@ -1,7 +1,8 @@
 """The stored energy phi and its derivative as functions of a step's fields, evaluated here only.
 
 For an energy with an expression, both are expressions.  Otherwise (``Material.response``, e.g. a Yosida
-approximation) they are computed and stored at the quadrature points: with their state z_k,
+approximation) phi and phi' are computed and stored at the quadrature points.  With the state z_k of the
+stored values,
 
     phi(z_k),   slope(z) = phi'(z_k) + phi''(z_k) (z - z_k),
 
@@ -79,8 +80,8 @@ class StoredEnergy:
     ) -> list[CoefficientFunction]:
         """Summands phi''(z) q_j : Y_j, one for each column of a slope q of z and of Y, (components, dim).
 
-        Each summand is a derivative in two directions, and so a scalar. A gradient of the derivative in one
-        direction would have tensors of fourth order, whose pattern takes NGSolve half a minute for
+        Each summand is a derivative in two directions, and therefore a scalar.  A gradient of the derivative
+        in one direction would have tensors of fourth order, whose pattern takes NGSolve half a minute for
         ``Ogden``.
         """
         states = self.material.states(self.dim)
@@ -150,7 +151,7 @@ class PointwiseEnergy(StoredEnergy):
     def slope(self, u: UnknownValues) -> CoefficientFunction:
         if u is not self.fields and u in self._values:
             return self._values[u].slope
-        now = self._values[self.fields]  # serves trial functions too, with the derivative by z at the state
+        now = self._values[self.fields]  # also for trial functions, with the derivative by z at the state
         hessian = self._hessian.Reshape((self._size, self._size))
         return now.slope + hessian * (u.z - now.state)
 
@@ -191,7 +192,7 @@ class PointwiseEnergy(StoredEnergy):
 
     def refresh(self, u: UnknownValues | None = None) -> bool:
         u = self.fields if u is None else u
-        # all ranks learn of a change or a failure on one rank
+        # a change or a failure on one rank counts on all ranks
         results = self._ranks.gathered((self._refreshed(u), self._own_failure))
         changed = any(is_new for is_new, _ in results)
         if changed and u is self.fields:
@@ -211,7 +212,7 @@ class PointwiseEnergy(StoredEnergy):
             self._own_failure = response.failure
             values_of(self._hessian)[:] = response.hessian.reshape(len(response.energy), self._size**2).T
             energy, slope = response.energy, response.slope.T
-        else:  # mostly a state with known values
+        else:  # the values at this state are mostly known
             evaluated = (
                 v for v in self._values.values() if v.at is not None and np.array_equal(states, v.at)
             )

@@ -154,7 +154,7 @@ def bulk_pressure(
     z: StartValues = {}
     for v in material.variables:
         is_given = not v.is_strain and v.name in given
-        # a new F for each variable: the derivative by one variable must not see it within another
+        # each variable has its own F, so that a derivative by one variable leaves the others fixed
         z[v.name] = given[v.name] if is_given else v.from_distortion(J ** (1 / 3) * Id(3))
     entropy, thermal = entropy_in(material), part_of(material, Thermal)
     if entropy is not None and theta is not None and thermal is not None:
@@ -177,7 +177,7 @@ def _at_pressure(
     )
     beyond = if_positive(logarithm - _VACUUM, logarithm - _VACUUM, CF(0.0))
     excess = law - target - beyond
-    # with ``time - time`` J is evaluated on facets once a step: linearised forms cannot contain NewtonCF
+    # by ``time - time`` J is evaluated on facets once a step, as linearised forms cannot contain NewtonCF
     J = exp(NewtonCF(excess, CF(0.0), tol=_INVERTED, maxiter=_STEPS)) + (time - time)
     return {v.name: v.from_distortion(J ** (1 / 3) * Id(3)) for v in material.variables if v.is_strain}
 

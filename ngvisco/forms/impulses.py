@@ -7,9 +7,9 @@ origin. On straight cells these are functions of the velocity's space.  With m t
     <m - m_old, e>/tau = sum of forces + thrust of jumps + rest of cells + rest of inertia,
 
 with the forces -form(u; e) of each load and wall.  The rows of R at coefficients of v that walls hold are not
-solved.  Their sum R(u; e) is the walls' force, together with the pressure that B_h omits on a closed wall
-(``ngvisco.forms.reactions``).  Viscous and hyperviscous stresses have no power at e.  The other
-summands vanish for the exact solution; they are momentum that the scheme creates:
+solved.  The sum R(u; e) of these rows, together with the pressure that B_h omits on a closed wall
+(``ngvisco.forms.reactions``), is the walls' force.  Viscous and hyperviscous stresses have no power at e.
+The other summands vanish for the exact solution; they are momentum that the scheme creates:
 
 - **inertia**: the skew form has half the continuity equation tested with v . e, which is not in the space of
   rho; ``MomentumBalance`` compensates for it with constant e, and not with rotations;
@@ -136,8 +136,7 @@ class Impulses:
         return rows_of
 
     def _tests(self, v: CoefficientFunction, gradient: CoefficientFunction | None) -> Tests:
-        """Tests with v, and zero for all other unknowns; if ``gradient`` is None, the gradient of v is
-        zero."""
+        """Tests that are zero for all unknowns but v; if ``gradient`` is None, the gradient of v is zero."""
         layout, dim = self.step.layout, self.step.mesh.dim
         zeros = self._zeros
 
@@ -211,7 +210,8 @@ class Impulses:
     def integrands(self, u: Fields) -> dict[str, list[list[Integrand]]]:
         """Summands at ``u`` of the forces and defects that a call returns, by names and for each motion.
 
-        The force of walls that hold v lacks the rows of R at the motions, ``held_velocities`` times R.
+        The force of walls that hold v is without the rows of R at the motions, ``held_velocities`` times
+        R.
         """
         by_names: dict[str, list[list[Integrand]]] = {name: [] for name in (*self.names, *DEFECTS)}
         for motion, coefficients in zip(self.motions, self._coefficients, strict=True):
@@ -314,7 +314,7 @@ class Impulses:
     def momentum(self, fields: Fields | None = None) -> list[CoefficientFunction]:
         """Densities of momentum, kg/(m^2 s), and angular momentum, kg/(m s), by motions, and |rho v|.
 
-        They are evaluated at ``fields``, by default the present state.
+        The densities are evaluated at ``fields``, by default the present state.
         """
         u = self.step.now if fields is None else fields
         along = [u.rho * inner(u.v, motion) for motion in self.motions.values()]
@@ -351,7 +351,7 @@ class _Rows:
 
 
 def _negative(integrands: Iterable[Integrand]) -> list[Integrand]:
-    """The summands with the other sign."""
+    """The given summands with the opposite sign."""
     return [
         Integrand(*(None if part is None else -1 * part for part in (i.cells, i.facets, i.collocated)))
         for i in integrands

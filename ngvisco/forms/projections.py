@@ -1,7 +1,7 @@
-"""L2 projections, each on one space: no matrix over all unknowns of a step.
+"""L2 projections, each on one space: no projection needs a matrix over all unknowns of a step.
 
-The mass matrix of a facet unknown has one block per facet, of a cell unknown one block per cell; components
-of a vector share it.
+The mass matrix of a facet unknown has one block per facet, of a cell unknown one block per cell; the
+components of a vector share the matrix.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ class RecoveredSlope:
         normal: CoefficientFunction,
         value: CoefficientFunction,
     ) -> None:
-        """``space`` has constants on facets; ``share`` is that of a side's value in s_hat."""
+        """``space`` has constants on facets; ``share`` is the share of a side's value in s_hat."""
         mean = GridFunction(space)
         self.target = GridFunction(VectorL2(quadrature.mesh, order=0))
         self._mean = FacetProjection(mean, quadrature, share, value)
@@ -152,7 +152,7 @@ def slopes_of_interfaces(
 def inverse_mass(space: FESpace, quadrature: Quadrature) -> BaseMatrix:
     """Inverse of the cells' mass matrix by the rule of the forms.
 
-    ``Mass`` gives it on straight simplices without a weight only.
+    ``Mass`` has the inverse only for straight simplices without a weight.
     """
     if quadrature.has_constant_weights:
         return space.Mass(1).Inverse()
@@ -160,7 +160,7 @@ def inverse_mass(space: FESpace, quadrature: Quadrature) -> BaseMatrix:
     mass = BilinearForm(space, symmetric=True, condense=True)
     mass += quadrature.cells(inner(trial, test))
     mass.Assemble()
-    return mass.inner_solve  # the inverse, cell by cell: all unknowns belong to cells
+    return mass.inner_solve  # the inverse is made cell by cell, because all unknowns belong to cells
 
 
 def project(
@@ -194,7 +194,7 @@ def set_traces(layout: StepLayout, state: GridFunction, context: Context, quadra
             kinds.setdefault((unknown.place, unknown.order), []).append(unknown)
     for (place, _), unknowns in kinds.items():
         space, n = layout.scalar_space(unknowns[0].name), context.normal
-        # on ``normals`` an unknown is a multiple of the cells' outward normal
+        # an unknown of ``normals`` is a multiple of the cells' outward normal
         trial, test = (f * n if place == "normals" else f for f in space.TnT())
         mass = BilinearForm(space)
         mass += quadrature.facets(trial * test)

@@ -90,7 +90,7 @@ class Rates:
     def creep_power(
         self, z: UnknownValues, Pi: Sequence[CoefficientFunction], G: UnknownValues, name: Conjugate
     ) -> Sequence[CoefficientFunction]:
-        """Summands of rate(z; 0, Pi) : G with one Pi, 3x3, for each mechanism; at L = 0 a rate has no affine
+        """Summands of rate(z; 0, Pi) : G, where each mechanism has one Pi, 3x3; a rate at L = 0 has no affine
         part."""
         tensors = _tensors(G, name)
         return [
@@ -149,7 +149,7 @@ class Rates:
     ) -> Values:
         """Values that a law may read: z, and the pressure and other quantities in ``law.reads``.
 
-        ``mechanism`` is that of a rule that may harden.
+        ``mechanism`` is the mechanism of a rule that may harden.
         """
         tensors = {**u.z_tensors}
         if PRESSURE in law.reads:
@@ -167,7 +167,7 @@ class Rates:
         return tensors
 
     def parted(self, u: UnknownValues) -> Values:
-        """z, with the projection on the normals of interfaces at which the material parts."""
+        """z, and for a material that parts at interfaces the projection on the interfaces' normals."""
         interface = self.material.interface
         return u.z_tensors if interface is None else {**u.z_tensors, INTERFACE: self._normals(interface, u)}
 
@@ -218,8 +218,8 @@ class Rates:
         return u.context.energy.on_sides(u)
 
     def stored_near(self, u: UnknownValues) -> CoefficientFunction:
-        """Energy phi(z), Pa, in cells; it has its derivative by z even if the stored values belong to one
-        state."""
+        """Energy phi(z), Pa, in cells; this function has its derivative by z even if the stored values belong
+        to one state."""
         return u.context.energy.near(u)
 
     def dissipation(self, u: UnknownValues) -> dict[str, CoefficientFunction]:
@@ -293,8 +293,8 @@ class TabulatedRates(Rates):
         return respond(self.material, self.dim)
 
     def weights(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Weights of the components' rates, and of the openings' rates subtracted where matter parts, both
-        (n, points)."""
+        """Weights of the components' rates, and weights of the openings' rates that are subtracted where
+        matter parts, both (n, points)."""
         weights, parted = np.ones(z.shape, z.dtype), np.zeros(z.shape, z.dtype)
         for name, (share, of_opening) in self._shares(Array(z, None)).items():
             weights[self._shared[name]] = share.value
@@ -303,7 +303,7 @@ class TabulatedRates(Rates):
         return weights, parted
 
     def _shares(self, z: Array) -> dict[str, tuple[Array, Array | None]]:
-        """Weights of rates and, where matter parts, of the openings' rates subtracted, by the names."""
+        """Weights of rates, and of the openings' rates subtracted where matter parts, by names."""
         values = self._states.tensors(lambda: z)
         shares, of_openings = self.material.taking_part(values), self.material.parted(values)
         return {
@@ -311,7 +311,7 @@ class TabulatedRates(Rates):
         }
 
     def openings(self, u: UnknownValues) -> np.ndarray | None:
-        """Matrix of ``opening`` where the material parts, (dim^2, entries of L, points), else None.
+        """Matrix of ``opening``, (dim^2, entries of L, points), for a material that parts, else None.
 
         The matrix maps the entries of L to entries of a velocity gradient.
         """
@@ -365,7 +365,7 @@ class TabulatedRates(Rates):
         return of_rate, of_stress
 
     def rate(self, z: UnknownValues, X: np.ndarray, first: int = 0) -> np.ndarray:
-        """Rates rate(z; X), (n, points), for the X from ``first`` on; for densities their production."""
+        """Rates rate(z; X), (n, points), for the X from ``first`` on; for densities the production."""
         rates = self.production.rate(z.z.value, X, first)
         if self.weighed is not None:
             weights, parted = self.weights(z.z.value)

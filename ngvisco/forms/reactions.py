@@ -1,7 +1,7 @@
 """The force and torque of the body on its walls, from the residual of the solved step.
 
 The rows of the residual R(u; w) at the constrained coefficients of v are the walls' reaction.  The residual
-contains the walls' terms too.  The force of wall Gamma on the body in direction e is
+also contains the terms of walls, which are subtracted.  The force of wall Gamma on the body in direction e is
 
     F_Gamma . e = R(u; w_Gamma) - (terms of Gamma)(u; e) + int (phi - z_f : zeta_f) (w_Gamma . n),
 
@@ -66,7 +66,7 @@ class WallReactions:
             interpolate(interpolated, motion)
             self._tests.append(interpolated.vec.FV().NumPy().copy())
         self._weights = self._shares()
-        # the integral is on walls that nothing crosses; the residual contains it on all other walls
+        # the integral is added on walls that nothing crosses; the residual has it on all other walls
         free = step.layout.velocity_space((None,) * step.mesh.dim)
         self._closed = facet_indicator(step.mesh, [name for name in walls if name not in step.walls.crossed])
         normal_test = free.TestFunction() * step.context.normal
@@ -144,8 +144,8 @@ class WallReactions:
     def beside_the_rows(self, name: str, motion: str, u: Fields) -> tuple[Integrand, Callable[[], None]]:
         """Summands at ``u`` of a component of force or torque on a wall besides the residual's rows.
 
-        The derivative of the summands by u is exact at the present state after a call of the returned
-        function.
+        After a call of the returned function the derivative of the summands by u is exact at the present
+        state.
         """
         step, energy = self.step, self.step.energy
         w = GridFunction(step.layout.blocks["v"])
@@ -170,8 +170,8 @@ class WallReactions:
         """The components of force, N, and of torque, N m, on each wall (per metre in plane strain, for a body
         of revolution the axial force over 2 pi).
 
-        They belong to the solution of the last Rothe step: the state must be this solution, with the step's
-        old state, length and loads in place.  For a scheme with stages or an extrapolated end see
+        The components belong to the solution of the last Rothe step: the state must be this solution, with
+        the step's old state, length and loads in place.  For a scheme with stages or an extrapolated end see
         ``ngvisco.run.probes.WallForces``.
         """
         step, integrate = self.step, self.step.quadrature.integrate_facets
@@ -188,7 +188,8 @@ class WallReactions:
 
 
 def beside_the_stress(u: Fields, phi: CoefficientFunction) -> CoefficientFunction:
-    """Pressure phi - z_f : zeta_f, Pa, that B_h(w; z, zeta) omits on a closed wall; z_f moves by flux."""
+    """Pressure phi - z_f : zeta_f, Pa, that B_h(w; z, zeta) omits on a closed wall; z_f are the variables
+    that move by flux."""
     by_flux = u.layout.states.by_flux
     return phi - inner(masked(u.z, by_flux), u.zeta) if by_flux.any() else phi
 

@@ -2,8 +2,8 @@
 
 Transport smears a jump of the amounts n_i over more and more cells. After each step
 (``Discretisation.sharp``) two moves separate bodies i and j in cells that contain no other body. Cells with
-more bodies have no planes, and neither have cells that the step passes, which are lower than the strips
-swept through them. In these cells, too, negative means are filled up, and one factor for all slopes brings
+more bodies have no planes, and neither have cells that the step passes, which are lower than the strips swept
+through them. In cells with more bodies negative means are filled up too, and one factor for all slopes brings
 fractions into [0, 1].
 
 1. *Between cells.*  The step has carried the amounts F_i, F_j out of a cell through a facet.  At the start
@@ -24,11 +24,12 @@ The normal of the plane that bounds body i in a cell is the slope of theta_i ave
 plane cuts off the mean of theta_i from the cell.  The strip is a prism between the facet and its place
 before the step.  About an axis shares are those of volumes, with the weight r.
 
-The moves keep N at every point, and int n_i and int X_i. So they keep masses and sum theta = 1, and, since
-bodies have one density, rho and momentum. A common volumetric energy depends on N alone. If f is linear in
-X, n f(X/n) = C : (X - n I), and its integral depends on the integrals of n and X alone: the stored energy is
-kept to rounding, and the step's identity holds. With a nonlinear f of degree one in (n, X) energy would be
-lost; moreover the f of bodies have this degree only up to traces of matter. So nonlinear f are refused.
+The moves keep N at every point, and int n_i and int X_i. The moves therefore keep masses and sum theta = 1,
+and, since bodies have one density, rho and momentum. A common volumetric energy depends on N alone. If f is
+linear in X, n f(X/n) = C : (X - n I), and its integral depends on the integrals of n and X alone: the stored
+energy is kept to rounding, and the step's identity holds. With a nonlinear f of degree one in (n, X) energy
+would be lost; moreover the f of bodies have this degree only up to traces of matter. Therefore nonlinear f
+are refused.
 """
 
 from __future__ import annotations
@@ -74,7 +75,7 @@ _PASSES = 2
 _PLANES = 2
 """Number of planes that are placed in a cell, each with a better normal."""
 _ROUNDING = 1e-12
-"""Share of a cell's amounts below which an amount is a rounding error, whose sign must have no effect."""
+"""An amount below this share of a cell's amounts counts as rounding, whose sign must have no effect."""
 FAR = 0.7
 """Largest strip that a step may sweep at an interface, in heights of its cell. After one turn the error of a
 disc over its area is 0.051, 0.071, 0.166 and 0.221 if the largest strip has 0.47, 0.59, 0.78 and 0.94 of its
@@ -159,7 +160,8 @@ class Sharpening:
             flux += share * np.take_along_axis(out, self._sides, axis=1)
 
     def end(self, weights: np.ndarray) -> None:
-        """Accept the step; warn, once, if it carried an interface too far for the planes at its start."""
+        """Accept the step; warn, once, if the step carried an interface too far for the planes at the
+        start."""
         if self.swept > FAR and not self._is_said:
             self._is_said = True
             longest = 0.9 * FAR / self.swept * self._tau
@@ -176,7 +178,7 @@ class Sharpening:
         count, is_apart = len(self._amounts), np.zeros(len(self._mass), dtype=bool)
         heights = -np.einsum("kond,kod->kon", tau * self._velocity[:, self._on], self._slopes)
         strips = np.maximum(heights, 0.0)
-        is_passed = strips.max(axis=(1, 2), initial=0.0) >= 1  # strips began beyond these cells
+        is_passed = strips.max(axis=(1, 2), initial=0.0) >= 1  # the strips began in cells farther away
         pairs = {
             (i, j): ~is_passed & self._is_pair(self._start, i, j) & self._is_pair(u, i, j)
             for i, j in combinations(range(count), 2)
@@ -303,7 +305,8 @@ class Sharpening:
     ) -> np.ndarray:
         """Exchange ``wanted`` amounts of a body, given by the cells of ``one``, for equal amounts of another
         body from the cells of ``two``, in place and as far as the cells have these amounts; return what was
-        exchanged. For matter that fills up a negative amount a cell gives its own X/n."""
+        exchanged. In exchange for matter that fills up a negative amount a cell gives matter with the cell's
+        X/n."""
         start, amount = self._contained(u), wanted
         least = _ROUNDING * start[self._amounts].sum(axis=0)
         for body, source in (one, two):
@@ -334,12 +337,12 @@ class Sharpening:
         return np.bincount(cells, amounts, self._halo.count)[: self._halo.cells]
 
     def _received(self, cells: np.ndarray, amounts: np.ndarray) -> np.ndarray:
-        """``_sums`` of own cells and of halo cells, which their ranks know, (cells,)."""
+        """``_sums`` of own cells, and of halo cells by the ranks that own them, (cells,)."""
         return self._halo.with_others(self._sums(cells, amounts))
 
     def _within(self, u: np.ndarray, i: int, j: int, pair: np.ndarray) -> np.ndarray:
         """Separate bodies i and j by planes in cells of the mask ``pair``, in place; return the numbers of
-        those with an interface."""
+        the cells with an interface."""
         height, means = self._behind(u, i), self._means(u)
         chosen = np.flatnonzero(pair & (np.ptp(height, axis=1) > 0))
         height = height[chosen]
@@ -348,7 +351,7 @@ class Sharpening:
         slope -= (slope * self._masses[chosen]).sum(axis=1, keepdims=True) / self._mass[chosen, None]
         slope *= self.dim + 2  # the projection's factor; the bound below scales the slope to 0.6 or less
         both = means[self._amounts][[i, j]][:, chosen].sum(axis=0)
-        deviation = np.zeros((len(self._amounts), *slope.shape))  # traces of other bodies have none
+        deviation = np.zeros((len(self._amounts), *slope.shape))  # traces of other bodies have no slope
         deviation[i], deviation[j] = both[:, None] * slope, -both[:, None] * slope
         self._deviate(u, chosen, deviation)
         return chosen
@@ -368,12 +371,12 @@ class Sharpening:
         means = self._means(u)[:, cells]
         size = means[self._amounts].sum(axis=0)
         even = (means[self._amounts] / size)[:, :, None] * u[self._amounts][:, cells].sum(axis=0)
-        lowered = np.maximum(-deviation, np.finfo(float).tiny)  # an absent body's mean has either sign
+        lowered = np.maximum(-deviation, np.finfo(float).tiny)  # an absent body's mean may have either sign
         most = np.where(lowered > _ROUNDING * size[:, None], np.maximum(even, 0.0) / lowered, 1.0)
         deviation = np.minimum(1.0, most.min(axis=(0, 2)))[:, None] * deviation
         for n, contents, amounts in zip(self._amounts, self._contents, even + deviation, strict=True):
             u[n, cells] = amounts
-            some = means[n] > NO_INTERFACE * size  # no quotients of rounding
+            some = means[n] > NO_INTERFACE * size  # avoids quotients of two rounding errors
             for component in contents:
                 u[component, cells[some]] = amounts[some] * (means[component, some] / means[n, some])[:, None]
 

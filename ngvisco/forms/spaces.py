@@ -59,7 +59,7 @@ from ngvisco.physics.material import Material, StateSpace
 
 @dataclass(frozen=True, kw_only=True)
 class Discretisation:
-    """Orders of the spaces and the few numbers of the scheme.
+    """Orders of the spaces, and numbers of the scheme.
 
     Raises ParameterError if a parameter is out of its range.
 
@@ -159,15 +159,15 @@ class Layout:
         ranges = (self.space.Range(i) for i in range(len(self.names)))
         self.ranges = {name: slice(r.start, r.stop) for name, r in zip(self.names, ranges, strict=True)}
         kinds = {(u.place, u.order): u for u in self.unknowns.values() if u.place in _SPACES}
-        # here, by all ranks together: a space made on demand would wait for ever for a rank that has failed
+        # all ranks make the space here: made on demand, it would wait for ever for a rank that has failed
         self._scalars = {kind: self._of_place(unknown, None) for kind, unknown in kinds.items()}
 
     def by_variables(self) -> FESpace:
         """The compound space with a block for each variable's part of z and of zeta, with the coefficients of
         ``space``.
 
-        NGSolve evaluates an integrand's derivative for each component of each block that the integrand reads,
-        times each component of the blocks that test it.
+        NGSolve evaluates an integrand's derivative for all pairs of a component of a block that the integrand
+        reads, and a component of a block that tests the integrand.
         """
         spaces: list[FESpace] = []
         for name, block in self.blocks.items():
@@ -243,7 +243,7 @@ class Layout:
             if not self.periodic:
                 return space
             identified = Periodic(space)
-        free = identified.FreeDofs()  # Periodic forgets the constraints of components
+        free = identified.FreeDofs()  # NGSolve's Periodic loses the constraints of components
         free &= space.FreeDofs()
         return identified
 

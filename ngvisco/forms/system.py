@@ -117,7 +117,7 @@ class LocalUnknowns:
         self.largest = Largest()
         """Facet means that only grow during the iterates of a step."""
         self._means: list[LocalProjection | FacetProjection] = []
-        """Projections of means over cells and facets, which only a step's equations read."""
+        """Projections of the means over cells and facets that only a step's equations read."""
         for term in terms:
             with refused_by_name(term):
                 for name, load in term.projections(u):
@@ -359,7 +359,8 @@ class Step:
         return self._fields(parts, self._linearised if self.stresses else self.context.rates, functions)
 
     def fields_from(self, old: Fields, momentum: CoefficientFunction) -> Fields:
-        """Fields of the present state in a step from other old fields and old momentum, kg/(m^2 s)."""
+        """Fields of the present state in a step that starts from other fields ``old`` and another momentum,
+        kg/(m^2 s)."""
         u = self.linearised_fields(self.state.components)
         context = copy.copy(u.context)
         context.old, context.momentum_old = old, momentum
@@ -427,7 +428,7 @@ class Step:
         k, m = self.discretisation.k, self.discretisation.m
         if m < k - 1:
             entries.append(Entry(UNFELT, "monitor", Integrand(), Unfelt(u, self.quadrature, m)))
-        # moving walls add the power of their reactions
+        # moving walls also have the power of their reactions
         return entries + [
             Entry(f"power_wall_{name}", "power", Integrand(), partial(self._reaction_power, name))
             for name in self.moving_walls.moving

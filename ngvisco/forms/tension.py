@@ -13,7 +13,7 @@ from ngvisco.physics.model import Model
 from ngvisco.physics.variables import PRESSURE
 
 _SHARE = 0.02
-"""Share of the largest pressure up to which tension is ascribed to a surface and its cells."""
+"""Tension up to this share of the largest pressure is ascribed to a surface and its cells."""
 _BORNE = 0.5
 """Share of the weight that pressure differences must bear at the start."""
 

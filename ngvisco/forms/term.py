@@ -1,7 +1,7 @@
 """Terms of the system: integrands in cells and on facets, linear in the test functions.
 
 ``cells(u, w)`` and ``facets(u, w)`` are functions of the values at a point: of the unknowns u, of the known
-data there (``u.context``) and of the tests w, in which they are linear.  They are written once, with
+data there (``u.context``) and of the tests w, in which they are linear.  Integrands are written once, with
 operations that coefficient functions and arrays share (``ngvisco.physics.tensors``).  With trial and test
 functions of NGSolve for u and w they are the term's form.  With arrays of values for u, and tests that only
 record their factors (``ngvisco.physics.arrays.Linear``), they are the rows of a residual, its derivative by a
@@ -105,9 +105,9 @@ class PointTerm:
         and, through facet means, on neighbours; ``"flow"``: the term has rows of v, the walls' unknowns and
         the creep rate field only, by its form.  ``"flow"`` is the default of a class that defines ``form``.
     kernel : str or None
-        Part of the split solver that has its own matrices for the term, or solves it for its unknown; None
-        if rows and tangent follow from the integrands.  A derived class with other integrands is another
-        equation: its kernel is None unless it sets one.
+        Part of the split solver that has its own matrices for the term, or solves it for its unknown; None if
+        rows and tangent follow from the integrands.  A derived class with other integrands is another
+        equation, so that ``kernel`` is None unless the class sets it.
     coupled_only : str or None
         Reason why only the coupled solver takes the term; None if both solvers take it.
     group : str or None
@@ -128,7 +128,7 @@ class PointTerm:
         singular.
     weighs : bool
         Whether the rows of v contain the density, which is a function of z if there are bodies.  The tangent
-        by increments then has their derivative by z, also of a term that is not ``linearised``.
+        by increments then has the derivative of these rows by z, also for a term that is not ``linearised``.
     plane_only : str or None
         Reason why a body of revolution cannot have the term; None if ``L`` has all that the term reads.
     """
@@ -167,8 +167,8 @@ class PointTerm:
         return ()
 
     def projections(self, u: Fields) -> list[tuple[str, Integrands]]:
-        """Names and loads of local unknowns that are cellwise projections of functions of other unknowns;
-        each comes after the unknowns that it depends on."""
+        """Names and loads of local unknowns that are cellwise projections of functions of other unknowns, in
+        the order of dependence."""
         return []
 
     def facet_projection(self, u: Fields) -> CoefficientFunction | None:
@@ -210,7 +210,7 @@ class PointTerm:
         return None
 
     def form(self, u: Fields, w: Fields) -> list[Integrand]:
-        """The summands of ``cells``, ``facets`` and ``collocated`` as integrands of NGSolve."""
+        """The summands of ``cells``, ``facets`` and ``collocated`` as integrands for NGSolve."""
         cells = [Integrand(part) for part in self.cells(u, w)]
         collocated = [Integrand(collocated=part) for part in self.collocated(u, w)]
         return cells + [Integrand(facets=part) for part in self.facets(u, w)] + collocated
@@ -326,7 +326,7 @@ class WithheldError(NgviscoError, LookupError):
 
 
 class GivenParts(dict[str, Any]):
-    """Fields by name; another name raises ``WithheldError`` with ``reason``, formatted with that name."""
+    """Fields by name; any other name raises ``WithheldError`` with ``reason``, formatted with the name."""
 
     def __init__(self, fields: dict[str, Any], reason: str) -> None:
         super().__init__(fields)

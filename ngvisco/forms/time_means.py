@@ -46,7 +46,7 @@ is evaluated."""
 _BISECTIONS, _BREAKS, _HALVINGS = 46, 64, 48
 """Bisections of a break, to rounding; largest numbers of breaks and of halved panels."""
 _ROUNDING = 4e-16
-_SHARE = 1.0 / 64  # a panel below this share of the interval has this share's tolerance
+_SHARE = 1.0 / 64  # a panel shorter than this share of the interval has the tolerance of this share
 _POINTS = 128  # points of space at which a function is evaluated, on each rank
 
 TimeFunction = Callable[[float], np.ndarray]
@@ -84,7 +84,7 @@ def rule(
     knots: Sequence[np.ndarray] = (),
     ranks: Communicator | None = None,
 ) -> Rule:
-    """The rule of the mean over [begin, begin + length], s; for length 0 it is the value at ``begin``.
+    """The rule of the mean over [begin, begin + length], s; for length 0 the mean is the value at ``begin``.
 
     The function may break where one of the conditions changes its sign, and at the knots, s.  Each of
     ``ranks`` has the values at its points.
@@ -122,7 +122,7 @@ class _RuleSearch:
                 ends.append(s)
         ends.append(1.0)
         pieces = list(pairwise(ends))
-        # find the scale first: a small piece need not be resolved beside a large one
+        # finds the scale first, because a small piece beside a large one need not be resolved
         looks = [[self._integral(*ends) for ends in _equal(a, b)] for a, b in pieces]
         panels = [self._resolved(a, b, look) for (a, b), look in zip(pieces, looks, strict=True)]
         times, weights = np.concatenate([nodes for nodes, _ in panels], axis=1)
@@ -139,7 +139,8 @@ class _RuleSearch:
         return (b - a) * sum(w * value for w, value in zip(_WEIGHTS, values, strict=True))
 
     def _resolved(self, a: float, b: float, look: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        """Nodes and weights of a piece, one panel if it agrees with the first panels; and their error."""
+        """Nodes and weights of a piece, and their error; one panel suffices if it agrees with the first
+        panels."""
         whole = self._integral(a, b)
         off = np.abs(whole - sum(look[1:], look[0]))
         if self._size(off) <= TOLERANCE * (b - a):
@@ -151,7 +152,7 @@ class _RuleSearch:
         while panels:
             size, a, b, halves, off = heappop(panels)
             middle = 0.5 * (a + b)
-            # a panel may have the whole of a small total error
+            # one panel may have all of a small total error
             is_small = -size <= TOLERANCE * max(b - a, _SHARE)
             if is_small or self.left <= 0 or not a < middle < b:
                 done.append(_gauss((a, middle), (middle, b)))
@@ -177,9 +178,8 @@ class _RuleSearch:
         return size / self.largest if self.largest else 0.0
 
     def _changes(self, condition: TimeFunction) -> set[float]:
-        """Places s at which a condition changes its sign at all points at once, to rounding.
-
-        A moving front breaks at another time at each point: halving of panels resolves it.
+        """Places s at which a condition changes its sign at all points at once, to rounding.  At a moving
+        front each point has a different break, and halving of panels resolves the front.
         """
         ends = np.linspace(0.0, 1.0, _SCANS + 1)
         signs = [self._at(condition, s) > 0 for s in ends]

@@ -38,7 +38,7 @@ _SHARE = 0.1
 def require_held(model: Model, orders: Discretisation) -> None:
     """Raise ParameterError for m < k - 1 if nothing damps the motion that no variable feels.
 
-    A hyperviscosity, or a shear viscosity in every body, damps it.
+    A hyperviscosity, or a shear viscosity in every body, damps such motion.
     """
     k, m = orders.k, orders.m
     if m >= k - 1 or model.hyperviscosity is not None:

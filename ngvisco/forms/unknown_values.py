@@ -87,8 +87,7 @@ class UnknownValues:
         self.layout, self.parts = layout, parts
         self.dim: int = layout.mesh.dim
         self.rows = self.dim if rows is None else rows
-        # the function refers to the parts alone: a reference to the values would keep their arrays until
-        # cycles are collected
+        # the function refers only to the parts: a reference to the values would keep their arrays alive
         self.gradient = gradient or (functions.gradient if functions else lambda name: Grad(parts[name]))
         self._variables = functions.of_variables if functions else {}
         self._made: dict[str, Any] = {}
@@ -158,7 +157,7 @@ class UnknownValues:
         return self._tensors("zeta")
 
     def _tensors(self, name: str) -> Values:
-        parts = self.parts  # a reference to self would keep the fields and their values alive
+        parts = self.parts  # without a reference to self, which would keep the fields and their values alive
         return self.layout.states.tensors(lambda: parts[name], self._variables.get(name))
 
     @cached_property

@@ -47,7 +47,7 @@ def jump_power(u: Fields) -> CoefficientFunction:
 
 
 _ACROSS = (0.8125, 0.4875, 0.3195)
-"""Direction parallel to no facet of a regular mesh, which distinguishes a facet's sides."""
+"""Direction that is parallel to no facet of a regular mesh and distinguishes the sides of facets."""
 
 
 def side(u: Fields) -> CoefficientFunction:
@@ -92,8 +92,8 @@ class FacetMean(PointTerm):
     Attributes
     ----------
     is_linear : bool
-        Whether a is linear in these unknowns: Newton's method then has a_hat to rounding.  Otherwise a_hat is
-        one number per facet and recomputed after each increment.
+        Whether a is linear in these unknowns: If so, Newton's method has a_hat to rounding.  Otherwise a_hat
+        is one number per facet and recomputed after each increment.
     """
 
     name: str

@@ -1,4 +1,5 @@
-"""Conditions on walls, loads and terms of a body of revolution: the axis slips, and no load crosses it."""
+"""Conditions on walls, loads and terms of a body of revolution: the axis is a slip wall, and no load crosses
+the axis."""
 
 from collections.abc import Iterable
 

@@ -45,7 +45,7 @@ from ngvisco.parallel.communicator import Communicator
 from ngvisco.words import Words, call
 
 _PARALLEL = 1e-10
-_FLAT = 1e-4  # rad: angle of facets in one plane with rounded coordinates
+_FLAT = 1e-4  # rad: largest angle of two facets in one plane, by rounded coordinates
 _CORNER = np.deg2rad(59.0)  # a larger angle is a corner of the domain, not of its approximation
 _CURVED = 0.5  # largest ratio of the facets' angle to their chords' angle; 1 if straight
 
@@ -100,8 +100,8 @@ def interior_boundaries(mesh: Mesh) -> set[str]:
 def walls_of(mesh: Mesh, names: Iterable[str]) -> Region:
     """The boundaries with ``names``, without parts that lie between two cells.
 
-    Interfaces between subdomains often share the name of all unnamed boundaries.  A name whose parts are all
-    interfaces keeps all of them.
+    Interfaces between subdomains often share the name of all unnamed boundaries.  If all parts of a name are
+    interfaces, the result has all of them.
     """
     chosen, boundaries = set(names), mesh.GetBoundaries()
     mask = BitArray(len(boundaries))
@@ -115,7 +115,8 @@ def walls_of(mesh: Mesh, names: Iterable[str]) -> Region:
 
 
 def _interfaces(mesh: Mesh) -> set[int]:
-    """Numbers of the boundaries' parts that lie between two cells; MeshError for a divided part."""
+    """Numbers of the boundaries' parts that lie between two cells; MeshError for a part that lies only partly
+    between cells."""
     totals = _counts(mesh, facets_with_two_sides(mesh) & boundary_facets(mesh))
     for name, (outer, inner) in zip(mesh.GetBoundaries(), totals, strict=True):
         if outer and inner:
@@ -189,14 +190,14 @@ coordinates."""
 def _kinks(mesh: Mesh, wall: Region) -> tuple[list[float], list[float]]:
     """Angles between neighbouring facets' chords, and between their normals where the facets meet.
 
-    Pairs in a plane and at corners of the domain are left out.
+    Pairs of facets in one plane, and pairs at corners of the domain, are left out.
     """
     near: dict[frozenset[bytes], list[_Facet]] = {}
     for facets in Communicator.of(mesh).gathered(_facets(mesh, wall)):  # neighbours may be on two ranks
         for facet in facets:
             for part in combinations(
                 facet[1], mesh.dim - 1
-            ):  # the common part with a neighbour: a vertex, an edge in 3D
+            ):  # the common part of a facet and its neighbour: a vertex, in 3D an edge
                 near.setdefault(frozenset(part), []).append(facet)
     chords, left = [], []
     for part, both in near.items():

@@ -1,16 +1,16 @@
 """The velocity of a momentum functional, and projections of velocities to those that the walls admit.
 
-The velocity of a momentum functional satisfies int rho v . w = <m, w> for all admissible w: it maximises
-<m, w> - 1/2 int rho |w|^2, whose maximum is E(rho, m), over the velocities that the walls admit.  Prescribed
+The velocity of a momentum functional satisfies int rho v . w = <m, w> for all admissible w: it maximises <m,
+w> - 1/2 int rho |w|^2, whose maximum is E(rho, m), over the velocities that the walls admit.  Prescribed
 coefficients are kept, and on oblique and curved walls (v . n, mu) = 0 for all multipliers mu (paper:
 Euler-small-BC-hyper).  One scalar mass matrix serves all components; conjugate gradients with its diagonal D
-take 30 to 60 iterations on any mesh.  With multipliers they run in the null space of the walls' condition
-C v = 0, by the projection onto it in the inner product of D (``WallProjection``),
+take 30 to 60 iterations on any mesh.  With multipliers the iterations run in the null space of the walls'
+condition C v = 0, by the projection onto this space in the inner product of D (``WallProjection``),
 
     I - D^-1 C^T (C D^-1 C^T)^-1 C.
 
 C D^-1 C^T is not a sum over ranks, since walls of two ranks share vertices and edges.  At shared coefficients
-y = D^-1 C^T lambda is kept as an unknown, so that y and lambda with C y = g solve
+y = D^-1 C^T lambda is kept as an unknown, so that y and lambda with C y = g are the solution of
 
     D y - C_s^T lambda = 0,   C_s y + C_i D_i^-1 C_i^T lambda = g,
 
@@ -105,7 +105,7 @@ class WallProjection:
         self._solver.factorise(sp.bmat(blocks, format="csr"))
 
     def _taken(self, g: np.ndarray) -> np.ndarray:
-        """D^(1/2) y for the y of least y . D y with C y = g."""
+        """D^(1/2) y for the y with C y = g that minimises y . D y."""
         count = len(self._shared)
         solution = self._solver(np.concatenate([np.zeros(count), g / self._length]))
         result: np.ndarray = self._transposed @ solution[count:]
@@ -165,7 +165,7 @@ class VelocityOfMomentum:
         self._load += quadrature.cells(inner(momentum, space.TestFunction()))
         self.free = mask_of(space.FreeDofs())
         self._exchange = Exchange.of(space, Communicator.of(layout.mesh))
-        # shared coefficients count once in products
+        # a shared coefficient counts once in products
         several = self._exchange.communicator.is_distributed
         self._own = self._exchange.owned if several else slice(None)
         self._own_free = self._exchange.owned[self.free] if several else slice(None)
@@ -220,7 +220,7 @@ class VelocityOfMomentum:
         size = ranks.norm(momentum[self._own]) or 1.0
         left = np.inf
         for _ in range(_CORRECTIONS):
-            # twice: rounding of the large rows at walls is not in the operator's range
+            # projected twice, because the rounding of large rows at walls is not in the operator's range
             residual = project_back(project_back((momentum - exchange.sum(mass @ v))[free]))
             last, left = left, ranks.norm(residual[self._own_free])
             if left <= _ROUNDING * size or not left < 0.5 * last:

@@ -1,8 +1,8 @@
 """Terms by which walls enter the system: multipliers for v.n = 0, given stresses, and passages of matter.
 
 For smooth fields B_h(w; z, zeta) = int T : grad w - int phi (w . n) (``ngvisco.forms.terms.transport``): on a
-wall that matter crosses the natural condition of the momentum equation would be T n = phi n.  The terms on
-such a wall add
+wall that matter crosses, without further terms, the natural condition of the momentum equation would be T n =
+phi n.  The terms on such a wall add
 
     + int_Gamma phi (w . n) + 1/2 int_Gamma j v . w - int_Gamma t . w,
 
@@ -24,7 +24,7 @@ At w = v the two uses of B_h cancel on these facets too:
     int rho - int rho_old = -tau int j,
 
 exactly, for any inflow; with heat, the flux of entropy changes the entropy too.  Inflowing matter brings
-energy: the balance of an inlet has no sign.  With bodies each density n_i is carried in this way.
+energy, so that the balance of an inlet has no sign.  With bodies each density n_i is carried in this way.
 """
 
 from __future__ import annotations
@@ -207,7 +207,7 @@ class Carried(OnWall):
         if name == "rho":
             return given.density
         inside = u.layout.states.tensors(lambda: inner_value)
-        here = u.context.given(self.indicator)  # elsewhere means are zero, and the energy may not be a number
+        here = u.context.given(self.indicator)  # on other walls means are zero, and the energy may be NaN
         values = {name: inside[name] for name in inside}
         values |= {name: inside[name] + here * (value - inside[name]) for name, value in given.values.items()}
         if given.temperature is not None:
@@ -324,8 +324,8 @@ class StoredMean(CellMean):
     """Equation of the cell mean of phi, Pa, for an energy with values at the points of the cells' rule only.
 
     Bodies of different volumetric energies and Yosida's approximation have such energies.  On a wall phi is
-    replaced by the mean plus zeta : (z - z_K), z_K the value at the middle of the cell.  The error, and so
-    T n - t, is of second order in the cell's size.
+    replaced by the mean plus zeta : (z - z_K), z_K the value at the middle of the cell.  The error of this
+    value, and therefore of T n - t, is of second order in the cell's size.
     """
 
     name = "stored_mean"

@@ -160,7 +160,8 @@ class Walls:
 
 
 def velocity_of(wall: Wall, dim: int, owner: str) -> CoefficientFunction:
-    """The velocity that a wall prescribes, m/s, or its normal part; ParameterError for an invalid one."""
+    """The velocity that a wall prescribes, m/s, or the normal part of this velocity; ParameterError for an
+    invalid velocity."""
     field, velocity = f"{owner}.velocity", vars(wall)["velocity"]
     if wall.is_held:
         return as_vector(velocity, dim, field)
@@ -192,7 +193,7 @@ class MovingWalls:
     """The constrained coefficients of v: zero, or a prescribed wall velocity.
 
     A Rothe step uses the mean of the wall's velocity over the interval in which loads are averaged: the
-    wall's displacement in the step is exact for any motion within.  The rows of R(u; .) at these coefficients
+    wall's displacement over the step is then exact for any motion.  The rows of R(u; .) at these coefficients
     are the wall's reaction; tested by v they give its power, a part of the energy identity.
     """
 
@@ -256,7 +257,8 @@ class MovingWalls:
         return {name: self._on_wall(name) for name in self.moving}
 
     def interpolate(self, name: str, velocity: CoefficientFunction) -> np.ndarray:
-        """Coefficients of a velocity on a wall, of its tangential part if nothing crosses the wall.
+        """Coefficients of a velocity on a wall, or of the velocity's tangential part if nothing crosses the
+        wall.
 
         Raises ParameterError for a normal part of the velocity on such a wall.
         """

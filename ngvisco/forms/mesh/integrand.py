@@ -7,8 +7,8 @@ from ngsolve import CoefficientFunction
 
 @dataclass(frozen=True)
 class Integrand:
-    """An integrand over the cells, one over the cells' boundaries, and one over the cells by a collocated
-    rule, with one point per coefficient of a field (``Quadrature.collocated``)."""
+    """Integrands over the cells, over the cells' boundaries, and over the cells by a collocated rule with one
+    point per coefficient of a field (``Quadrature.collocated``)."""
 
     cells: CoefficientFunction | None = None
     facets: CoefficientFunction | None = None

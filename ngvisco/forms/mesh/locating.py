@@ -13,8 +13,8 @@ from ngvisco.parallel.mesh import MeshPart
 from ngvisco.shapes.places import mesh_points
 
 _PULLS = (1e-9, 1e-6, 1e-4, 1e-3)
-"""Shares of the way to the centre of a near cell. A point on a wall is moved by these shares if rounding, or
-the polynomials of a curved wall, leave the point just outside of all cells."""
+"""Shares of the way to the centre of a near cell.  A point on a wall is moved by such a share if it is just
+outside of all cells, by rounding or by the polynomials of a curved wall."""
 
 
 def as_points(field: str, value: object, dim: int) -> np.ndarray:
@@ -128,7 +128,7 @@ def nearest_wall(mesh: Mesh, point: np.ndarray) -> tuple[str | None, float]:
     The result is (None, inf) for a mesh without boundary.  Ranks search the whole mesh; collective.
     """
     ranks = Communicator.of(mesh)
-    if isinstance(mesh, MeshPart):  # choose the same of two equally distant walls as on one process
+    if isinstance(mesh, MeshPart):  # among equally distant walls the choice is the same as on one process
         return ranks.on_first(lambda: _nearest_wall(mesh.whole, point))
     return min(ranks.gathered(_nearest_wall(mesh, point)), key=lambda entry: entry[1])
 

@@ -49,7 +49,7 @@ SIMPLICES = (10, 12, 20, 21)
 
 
 def mask_of(bits: BitArray) -> np.ndarray:
-    """Boolean array of a set of unknowns."""
+    """A set of unknowns as a Boolean array."""
     ones = CreateVVector(len(bits))
     ones[:] = 1.0
     Projector(bits, True).Project(ones)
@@ -94,7 +94,7 @@ def rigid_motions(mesh: Mesh, width: int, count: int) -> np.ndarray:
     return motions
 
 
-_OPPOSED = 1e-6  # remainder of the normals' sum, over the facet's area
+_OPPOSED = 1e-6  # largest sum of the normals of both sides, over the facet's area
 
 
 def facets_with_two_sides(mesh: Mesh) -> np.ndarray:
@@ -112,7 +112,7 @@ def facet_sums(mesh: Mesh, value: CoefficientFunction) -> np.ndarray:
     """Integrals over the facets, summed over both sides, (facets,); collective."""
     q = FacetFESpace(mesh, order=0).TestFunction()
     sums = LinearForm(value * q * dx(element_boundary=True)).Assemble().vec
-    sums.Cumulate()  # the other side may belong to another rank
+    sums.Cumulate()  # the facet's other side may belong to another rank
     return sums.FV().NumPy().copy()
 
 

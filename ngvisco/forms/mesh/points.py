@@ -38,8 +38,8 @@ from ngvisco.errors import MeshError
 from ngvisco.forms.mesh.symmetry import Symmetry
 
 NEGLIGIBLE = 1e-14
-"""Relative size below which entries are rounding errors; without these a side reads the unknowns of its
-facet only."""
+"""Entries below this relative size count as rounding and are removed, so that a side reads only the unknowns
+of its facet."""
 
 
 def csr(matrix: BaseMatrix) -> sp.csr_matrix:

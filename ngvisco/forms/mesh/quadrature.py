@@ -46,7 +46,7 @@ SYMMETRIC_DEGREE = 6
 """Highest degree at which NGSolve's rules of triangles have all symmetries of the triangle.  The two sides of
 a face number its vertices differently: with a less symmetric rule they would have different points, and the
 flux out of one cell would not be the flux into the other."""
-_FACET_BASE_ORDER = 5  # order of NGSolve's Integrate on element boundaries without a bonus
+_FACET_BASE_ORDER = 5  # order that NGSolve's Integrate takes on element boundaries without a bonus
 
 
 @dataclass(frozen=True)
@@ -76,10 +76,10 @@ class Quadrature:
     ) -> Quadrature:
         """Return the rules for velocity order k and field order m.
 
-        The polynomial terms with the highest degree are m~ . (L^T w) and
-        rate(grad w; z) : zeta, of degree m + 2k + (k - 1) and (k - 1) + 2m.  Energies are not
-        polynomial; 2k + m + 1 resolves them at least as well as the fields do.  The degree is rounded up
-        to an even one, since NGSolve has spaces of values at the points for even degrees only.
+        The polynomial terms with the highest degree are m~ . (L^T w) and rate(grad w; z) : zeta, of degree m
+        + 2k + (k - 1) and (k - 1) + 2m.  Energies are not polynomials; the degree 2k + m + 1 resolves them at
+        least as well as the fields do.  The degree is rounded up to an even one, since NGSolve has spaces of
+        values at the points for even degrees only.
         """
         degree = max(2 * k + m + 1, 2 * m + k) + bonus
         degree += degree % 2
@@ -102,7 +102,7 @@ class Quadrature:
     def has_constant_weights(self) -> bool:
         """Whether the integrals of all cells have constant weights: straight simplices, no symmetry."""
         is_plain = self.symmetry.radius is None
-        # one choice for all ranks, including ranks without cells
+        # all ranks, including ranks without cells, make the same choice
         mesh, comm = self.mesh, self.mesh.comm
         return bool(is_plain and comm.Max(mesh.GetCurveOrder()) <= 1 and comm.Min(is_simplicial(mesh)))
 
@@ -221,7 +221,9 @@ class Sampler:
     def points(self) -> np.ndarray:
         """Mesh points at the cells' vertices (just inside each cell) and at the forms' quadrature points.
 
-        They are mapped at each access: 48 bytes a point are much memory, and the map takes 20 ns a point."""
+        The points are mapped at each access, because stored points would take 48 bytes each, and the map
+        takes only 20 ns a point.
+        """
         rules = {}
         for et, vertices in VERTICES.items():
             if et in self.quadrature.cell_rules:
@@ -269,7 +271,8 @@ class Sampler:
         return max(entry for entry in self.ranks.gathered(mine) if entry is not None)[1]
 
     def largest_in_words(self, sizes: np.ndarray, shares: Mapping[str, CoefficientFunction]) -> str:
-        """Words for the place of the largest of ``sizes`` over all ranks, and for the largest share there."""
+        """Words for the place of the largest of ``sizes`` over all ranks, and for the largest share at this
+        place."""
         mine, names = None, list(shares)
         if len(sizes):
             at = int(np.argmax(sizes))

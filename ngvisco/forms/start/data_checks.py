@@ -60,9 +60,9 @@ from ngvisco.physics.walls import PrescribedNormal, Traction
 from ngvisco.words import Mention, Words, call
 
 _FLAT = 1e-12  # |a.n|^2/|a|^2 on axis-parallel walls, whose normals are exact
-_ROUNDING = 1e-20  # share of the mean of |a|^2 in the domain: sin(pi x) at x = 1 is 1e-16
+_ROUNDING = 1e-20  # over the mean of |a|^2 in the domain; sin(pi x) at x = 1 is 1e-16
 _MATCH = 1e-8
-_DEGREE = 6  # the degree of the rule whose points on walls are checked
+_DEGREE = 6  # degree of the rule whose points on walls are checked
 _STIFFER = 10.0
 """Ratio of bulk moduli above which a run warns.  Steps have to be divided at a ratio of 20
 (``demos/collision``). At ratios above 5 an overshoot of a quarter may make the compliance negative."""
@@ -140,7 +140,7 @@ def _check_incoming(step: Step, term: Carried, t: float) -> None:
         if variable.name in given.values:
             where, value = f"{owner}.values[{variable.name!r}]", given.values[variable.name]
             _look(step, term.name, value, where, t)
-            if not step.model.bodies:  # a body's variables vanish outside it
+            if not step.model.bodies:  # a body's variables vanish outside of the body
                 positive[where] = dict(variable.positive(value))
     if {variable.name for variable in material.variables} <= given.values.keys():
         positive[f"{owner}.values"] = dict(material.domain(given.values))
@@ -192,7 +192,7 @@ def warn_of_own_energy(step: Step, states: np.ndarray | None) -> None:
     """Warn if a user-defined energy is not convex, and state how far from the states, (points, .), it loses
     convexity.
 
-    In a network each user-defined branch is checked by itself, and then their sum.
+    In a network each user-defined branch is checked by itself, and then the sum of all branches.
     """
     material, ranks = step.model.material, Communicator.of(step.mesh)
     network = part_of(material, Network)
@@ -227,7 +227,7 @@ def warn_of_doubts(
     ``is_at_rest`` states that all strains start at rest.
     """
     messages = [*_moduli(step), *_heat_at_walls(step)]
-    if step.sources is None:  # manufactured states need not fit
+    if step.sources is None:  # manufactured states need not satisfy these conditions
         messages += [*_mismatches(step, sampler, values), *_normal_parts(step, velocity)]
         messages += on_open_walls(step)
         if is_at_rest:
@@ -353,9 +353,9 @@ def warn_of_corners(step: Step, times: Sequence[float]) -> None:
 
     If all edges of a cell at a vertex lie on walls that prescribe v, they determine the cell's grad v at the
     vertex, for any order of v: no pressure can control div v.  Under a lid of speed U that meets a wall at
-    rest, div v = +-U/h at the corner.  As v is zero there, the matter stays, and J and rho change by
-    exp(+-U t/h).  A cell that is divided at its midpoint has an edge into the interior at every vertex, and
-    div v is free (``ngvisco.geometries.split_corner_cells``).  All ranks give the same warning.
+    rest, div v = +-U/h at the corner.  As v is zero there, the matter stays, and J and rho change by exp(+-U
+    t/h).  If a cell is divided at its midpoint, every vertex has an edge into the interior, so that div v is
+    free (``ngvisco.geometries.split_corner_cells``).  All ranks give the same warning.
     """
     cells, ranks = _corner_cells(step), Communicator.of(step.mesh)
     duration = times[-1] - times[0]
@@ -367,7 +367,7 @@ def warn_of_corners(step: Step, times: Sequence[float]) -> None:
         (int(number[cell]), vertex, tuple(place), of_times)
         for (cell, vertex), place, of_times in zip(cells, places, rates.T, strict=True)
     ]
-    # the order of one process: each rank numbers its vertices in the order of the undistributed mesh
+    # in the order of one process, because each rank numbers its vertices as the undistributed mesh does
     every = sorted((row for of_rank in ranks.gathered(mine) for row in of_rank), key=lambda row: row[:2])
     rates = np.array([row[3] for row in every]).T
     strains = rates.mean(axis=0) * duration
@@ -405,7 +405,7 @@ def _corner_cells(step: Step) -> list[tuple[int, int]]:
 def _divergences(
     step: Step, cells: Sequence[tuple[int, int]], times: Sequence[float]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Coordinates of the cells' vertices, (cells, dim), m, and div v there, (times, cells), 1/s."""
+    """Coordinates of the cells' vertices, (cells, dim), m, and div v at the vertices, (times, cells), 1/s."""
     mesh, walls = step.mesh, step.moving_walls
     points = mesh.MapToAllElements(_CORNERS, VOL)
     points = points[np.isin(points["nr"], [cell for cell, _ in cells])]

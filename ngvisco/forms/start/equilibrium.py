@@ -1,18 +1,19 @@
-"""A body at rest under its weight: the pressure that bears the loads, and the volume at this pressure.
+"""The equilibrium of a body at rest under its weight: the pressure that bears the loads, and the volume at
+this pressure.
 
     grad p = f(rho),      p(J) = -tr T/3 at F = J^{1/3} I,      rho = rho_R/J, or the given density
 
 p is continuous, one order above the variables, with int (grad p - f) . grad q = 0 for all q.  If the density
-varies with the height alone, p is the weight of the matter above, for any domain and any layers.  If it also
-varies along a level, no pressure bears all loads, and a warning states the unborne share.  The datum
-determines the constant in p.  J is the projected inverse of the bulk law, by Newton's method; each body has
-its J at the common p.
+varies with the height alone, p is the weight of the matter above, for any domain and any layers.  If the
+density also varies along a level, no pressure bears all loads, and a warning states the unborne share.  The
+datum determines the constant in p.  J is the projected inverse of the bulk law, by Newton's method; each body
+has its own J at the common p.
 
 For k = 1 and m = 0 the cell means of p bear the loads that p bears, as div w is constant in cells.  m = 0
-with another k is refused: the best constants leave 20, 10 and 5 % of the loads on velocities of order two
-unborne on 2 x 4, 4 x 8 and 8 x 16 cells (in the dual of H1), so that the body moves. In a body 1 m high of 2
-kg/m^3 with K_e = 50 Pa under 1 m/s^2, velocities were 0.042 m/s with 2 x 4 cells and 0.011 m/s with 4 x 8,
-0.050 m/s without an equilibrium, and 0 with m = 1.
+with another k is refused, because the body would move: constants in cells bear no more than 80, 90 and 95 %
+of the loads on velocities of order two on 2 x 4, 4 x 8 and 8 x 16 cells (in the dual of H1).  In a body 1 m
+high of 2 kg/m^3 with K_e = 50 Pa under 1 m/s^2, velocities were 0.042 m/s with 2 x 4 cells and 0.011 m/s with
+4 x 8, 0.050 m/s without an equilibrium, and 0 with m = 1.
 """
 
 from __future__ import annotations
@@ -91,7 +92,7 @@ class Column:
         self.step, self.sampler, self.given, self.theta = step, sampler, given, theta
         self.shares, self.mesh = shares, step.mesh
         self.density: CoefficientFunction | None = None
-        if density is not None:  # projected, as in the loads of a step
+        if density is not None:  # projected as the loads of a step are
             self.density = GridFunction(L2(self.mesh, order=step.discretisation.m))
             LocalProjection(self.density, step.quadrature, tested(density))()
         laws = {body.name: body.material for body in step.model.bodies} or {"": step.model.material}

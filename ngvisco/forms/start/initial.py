@@ -223,7 +223,7 @@ def _project(
         sampler.require(inner(step.now.z, step.now.z), "material variables", "Initial.values")
         sampler.require(step.now.rho, "projected density rho_0", "Initial.density", minimum=0.0)
         signs = [*(v.positive(z[v.name]) for v in material.variables), material.domain(z)]
-        if step.model.bodies:  # a body's variables vanish outside it
+        if step.model.bodies:  # a body's variables vanish outside of the body
             signs = list(material.positive(z).values())
         for name, value in ((name, value) for positive in signs for name, value in positive.items()):
             sampler.require(value, f"projected {name}_0", f"Initial.values[{name!r}]", minimum=0.0)
@@ -401,7 +401,7 @@ def _impose_walls(step: Step, v_0: CoefficientFunction) -> None:
     """Impose the walls' discrete conditions: v = 0 without slip, the tangential part of v_0 on moving walls,
     and on oblique or curved walls v.n = 0 by the L2 projection with their multiplier.
     """
-    # the interpolation leaves a small v.n in constrained coefficients, which the ledger would show
+    # interpolation leaves a small v.n in constrained coefficients, which would appear in the ledger
     step.state.vec.FV().NumPy()[~mask_of(step.layout.space.FreeDofs())] = 0.0
     v = step.state.vec.FV().NumPy()[step.layout.ranges["v"]]
     n = specialcf.normal(step.mesh.dim)
@@ -424,7 +424,7 @@ def complete(step: Step) -> None:
         step.local_unknowns.update_stored()
         step.local_unknowns.projections["zeta"]()
     rates = step.context.rates
-    if "Pi" in parts:  # the local rate, as psi' may be infinitely steep at zero
+    if "Pi" in parts:  # the start value is the local rate, because psi' may be infinitely steep at zero
         rate = trace_free_tensors(dim).components(rates.local_creep(rates.mechanisms[0], u))
         Interpolation(step.layout.blocks["Pi"])(parts["Pi"], rate)
     set_traces(step.layout, step.state, step.context, step.quadrature)

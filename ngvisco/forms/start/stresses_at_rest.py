@@ -19,10 +19,10 @@ from ngvisco.physics.walls import Open
 from ngvisco.words import Mention, Words
 
 _ROUNDING = 1e-9
-"""Share of the stiffness below which a stress is rounding."""
+"""Share of the stiffness below which a stress counts as rounding."""
 _MATTERS = 0.01
-"""Share of a wall's stress at rest that may be unbalanced; and ratio of the wall's to the largest stress at
-rest below which no warning is given."""
+"""Share of a wall's stress at rest that may be unbalanced; and least ratio of the wall's stress at rest to
+the largest stress at rest with which a warning is given."""
 _REMEDY = (
     "Take energies without stress at rest (ReferentialNeoHookean, OldroydB, ...), subtract the constant T(I) "
     "from an energy of your own, "
@@ -87,7 +87,8 @@ def on_open_walls(step: Step) -> Iterator[str]:
 
 
 def _at_rest(laws: Mapping[str, Material]) -> tuple[dict[str, float], float]:
-    """Mean normal stresses at rest, Pa, by the laws' names, and the stress up to which it is rounding, Pa."""
+    """Mean normal stresses at rest, Pa, by the laws' names, and the stress up to which a stress counts as
+    rounding, Pa."""
     of_laws = {name: rest_stress_and_modulus(law) for name, law in laws.items()}
     rounding = _ROUNDING * max((abs(modulus) for _, modulus in of_laws.values()), default=0.0)
     return {name: stress for name, (stress, _) in of_laws.items()}, rounding

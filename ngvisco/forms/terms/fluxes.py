@@ -4,11 +4,12 @@ With the potential mu, the flux j = M grad mu and a test chi, the term is by an 
 
     int j . grad chi - sum_K int_{dK} (f - f_hat) chi,      f = j . n - p (mu - mu_hat), p = s M/h,
 
-mu_hat and f_hat the means of both sides.  f - f_hat is half of the difference of both sides' f, that is the
-mean flux less p times half of the jump. It has opposite signs on both sides, so that chi = 1 gives zero and
-the amount is conserved to rounding.  On walls f_hat = f, so that nothing flows through them.  The penalty is
-incomplete: it omits the term that would make it symmetric in mu and chi.  The flux is consistent for m >= 1.
-m = 0 is refused, since the flux by the penalty alone depends on the cells' shapes, however fine the mesh.
+where mu_hat and f_hat are the means of both sides. f - f_hat is half of the difference of the two sides' f,
+which is the mean flux less p times half of the jump.  The difference has opposite signs on the two sides, so
+that chi = 1 gives zero and the amount is conserved to rounding.  On walls f_hat = f, so that nothing flows
+through them.  The penalty is incomplete: it omits the term that would make it symmetric in mu and chi.  The
+flux is consistent for m >= 1.  m = 0 is refused, since the flux by the penalty alone depends on the cells'
+shapes, however fine the mesh.
 """
 
 from abc import abstractmethod
@@ -38,9 +39,8 @@ def component(u: Fields, name: str, value: CoefficientFunction) -> CoefficientFu
 
 
 class Flux(PointTerm):
-    """A flux with its integrands on facets; derived classes define the integrands in cells.
-
-    ``name`` is the prefix of its unknowns.
+    """A flux with its integrands on facets; derived classes define the integrands in cells.  ``name`` is the
+    prefix of the flux's unknowns.
     """
 
     name: str
@@ -100,7 +100,7 @@ class MeanOfPotential(FacetMean):
 
 
 class MeanOfFlux(FacetMean):
-    """Equation of f_hat, the mean of both sides' f; it is zero if both sides' fluxes cancel."""
+    """Equation of f_hat, the mean of both sides' f; f_hat is zero if the fluxes of the two sides cancel."""
 
     def __init__(self, flux: Flux) -> None:
         self._flux, self.name = flux, f"{flux.name}_flux_hat"

@@ -39,9 +39,9 @@ class Continuity(PointTerm):
     crosses: q = 1 conserves mass to rounding (paper: Euler-small-est-1+).
 
     A cut-off replaces rho in the fluxes by f(rho) = K(rho) rho, which falls where rho > rho_max: an upwind
-    flux would go on filling full cells.  The flux is then that of Engquist and Osher (Math. Comp. 36, 1981),
-    the rising part f^+ of f upstream and the falling part f^- downstream: with n^- = 1 on the side that the
-    flow enters and 0 on the other, j = (v . n) rho_hat and
+    flux would go on filling full cells.  The flux is then the flux of Engquist and Osher (Math.  Comp. 36,
+    1981), the rising part f^+ of f upstream and the falling part f^- downstream: with n^- = 1 on the side
+    that the flow enters and 0 on the other, j = (v . n) rho_hat and
 
         sum_K int_{dK} [(1 - n^-) (rho_hat - f^+(rho)) - n^- f^-(rho)] q_hat = 0,
 
@@ -133,7 +133,8 @@ class Inertia(PointTerm):
 
 @dataclass(frozen=True)
 class Convection(PointTerm):
-    """Convection 1/2 m . [(L^T w) - (grad w)^T v], m = rho v, without power (paper: calculus-for-kinetic).
+    """Convection 1/2 m . [(L^T w) - (grad w)^T v] with m = rho v, which has no power (paper:
+    calculus-for-kinetic).
 
     With regularisation m = K(rho) rho v + delta |grad rho|^{r-2} grad rho: the paper's compensating term
     - delta |grad rho|^{r-2} (grad v) grad rho takes this shape when -1/2 v.w times the continuity equation
@@ -184,13 +185,14 @@ class UnbalancedMomentum(CellMean):
 
 
 class MomentumBalance(PointTerm):
-    """Balance 1/2 R(v . w_K) - 1/2 R(v_K . w), R(q) the continuity equation tested by q, v_K a cell mean.
+    """Balance 1/2 R(v . w_K) - 1/2 R(v_K . w), where R(q) is the continuity equation tested by q, and v_K a
+    cell mean.
 
     The skew form of ``Inertia`` and ``Convection`` tested by a constant w is the rate of the momentum less
     1/2 R(v . w), which is not zero: rho in P_m satisfies the equation for tests in P_m only.  This term is
-    skew too, so that it has no power; for a constant w it is 1/2 R(v . w) - 1/2 R(v_K . w), where the second
-    part is zero.  The balances of kinetic energy and of momentum then both hold for a discontinuous rho and a
-    continuous v.  R(q) = 0 for the exact solution: the term is consistent.
+    also skew, and therefore has no power; for a constant w the term is 1/2 R(v . w) - 1/2 R(v_K . w), where
+    the second part is zero.  The balances of kinetic energy and of momentum then both hold for a
+    discontinuous rho and a continuous v.  R(q) = 0 for the exact solution: the term is consistent.
     """
 
     linearised, weighs, group = False, True, SKEW
@@ -219,7 +221,7 @@ def mass_flux(u: Fields) -> CoefficientFunction:
 
 
 def carried_density(u: Fields, regularisation: Regularisation | None) -> CoefficientFunction:
-    """The density K(rho) rho in fluxes; rho without a cut-off."""
+    """The density K(rho) rho in fluxes, which is rho without a cut-off."""
     return u.rho if regularisation is None else regularisation.carried(u.rho)
 
 

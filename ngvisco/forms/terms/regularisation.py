@@ -46,9 +46,9 @@ class FieldDiffusion(PointTerm):
 
         delta int phi''(z) q : q + delta sum_K int_{dK} s/h C (zeta - zeta_hat) : (zeta - zeta_hat) >= 0.
 
-    In directions in which the energy is linear (``Curvature.linear``) phi'' vanishes and zeta is constant:
-    there q is the slope of z, by the form above, and has no power.  Parameters do not diffuse; q is their
-    slope too, since it contributes to the slope of zeta.
+    In directions in which the energy is linear (``Curvature.linear``) phi'' vanishes and zeta is constant; in
+    these directions q is the slope of z, by the form above, and has no power.  Parameters do not diffuse; for
+    parameters q is the slope of z too, because this slope contributes to the slope of zeta.
     """
 
     law: Regularisation
@@ -164,7 +164,8 @@ class DensityDiffusion(PointTerm):
     viscoelastodyn+0disc): incomplete penalty, c_pen = c(|grad rho|^2 + |rho - rho_hat|^2/h^2 + floor^2).
 
     ``Convection`` has the compensating term of the momentum equation in a skew form without power.  Diffusion
-    keeps mass to rounding.  The ledger's ``density_diffusion`` is the rate at which it reduces int 1/2 rho^2.
+    keeps mass to rounding.  The ledger's ``density_diffusion`` is the rate at which diffusion reduces int 1/2
+    rho^2.
     """
 
     law: Regularisation

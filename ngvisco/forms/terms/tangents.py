@@ -11,13 +11,13 @@ other energy the mean of N over the facet is subtracted.  The force is then that
 
 the point at which the tangents of phi on both sides meet.  With zeta = phi'(z) and the Bregman distances D_21
 and D_12 between both sides, both >= 0 for a convex energy, b = (D_21 - D_12)/(D_21 + D_12) lies in [-1, 1].
-Projected conjugates may give a larger b.  Parameters, in which no energy is convex, may do so too: [z] :
-[zeta] may be zero where N is not. N itself has no denominator.
+Projected conjugates may give a larger b.  Parameters, in which no energy is convex, may also give a larger b,
+because [z] : [zeta] may be zero where N is not.  N itself has no denominator.
 
 The energy may have no value at a trace, as ln det B at det B <= 0, although it has one at all points of the
-cells' rule.  Such a facet keeps its thrust, which the ledger's momentum defect shows.  Since the force jumps
-when a trace loses its energy, a facet that has no energy in one iterate keeps its thrust for the rest of the
-step.
+cells' rule.  A facet without energy keeps its thrust, which appears in the ledger's momentum defect.  Since
+the force jumps when a trace loses its energy, a facet that has no energy in one iterate keeps its thrust for
+the rest of the step.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from ngvisco.physics.response import Respond
 from ngvisco.physics.tensors import if_positive, is_number
 
 _ROUNDING = 1e-14
-"""Share of a facet below which the share counts as zero."""
+"""Least share of a facet that does not count as zero."""
 
 
 class TangentGap(OfFacet):
@@ -64,7 +64,7 @@ class WithoutEnergy(OfFacet):
 class TangentForce(PointTerm):
     """Force - int (w . n) N over the facets in the momentum equation, N a mean over the facet.
 
-    At w = v it is a power of jumps, which the dissipation of ``Upwinding`` includes.
+    At w = v the term is a power of jumps, which the dissipation of ``Upwinding`` includes.
     """
 
     linearised, group = False, ENTERING
@@ -81,10 +81,10 @@ class TangentForce(PointTerm):
 def tangents_of(material: Material, dim: int, m: int, response: Respond) -> TangentForce | None:
     """The force's correction for fields of order ``m``, or None for a quadratic energy.
 
-    ``response`` is that of the material on meshes of dimension ``dim``.
+    ``response`` is the material's response on meshes of dimension ``dim``.
 
-    It is also None for bodies of different U with m >= 1: their amounts can be negative on sides of cells,
-    where the energy has no value.
+    The result is also None for bodies of different U with m >= 1, because the bodies' amounts can be negative
+    on sides of cells, where the energy has no value.
     """
     if m > 0 and material.response(dim) is not None and not material.continued:
         return None

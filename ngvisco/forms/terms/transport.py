@@ -147,7 +147,8 @@ class Trace(FacetMean):
 
 @dataclass(frozen=True)
 class Upwinding(PointTerm):
-    """Upwinding sum_K int_{dK} |v . n| (z - z_hat) : G, that is 1/2 int |v . n| [z] : [G] over the facets.
+    """Upwinding sum_K int_{dK} |v . n| (z - z_hat) : G, which equals 1/2 int |v . n| [z] : [G] over the
+    facets.
 
     With the mean trace in B_h the transport is upwind.  Tested by zeta, the term dissipates
     1/2 int |v . n| [z] : [zeta]; with the power of ``TangentForce`` int 1/2 |v . n| [z] : [zeta] - (v . n) N.
@@ -160,7 +161,7 @@ class Upwinding(PointTerm):
         return [speed(u) * inner(beyond_trace(u), w.z)]
 
     def dissipated_on_facets(self, u: Fields) -> dict[str, CoefficientFunction]:
-        mean = JumpHeat.name in u.layout.unknowns  # with the mean both sides have the same share
+        mean = JumpHeat.name in u.layout.unknowns  # because both sides have the same share in the mean
         loss = u.parts[JumpHeat.name] if mean else lost_by_jumps(u)
         if self.tangents is not None:
             loss = loss + (u.v * u.context.normal) * self.tangents.excess(u)
@@ -177,7 +178,8 @@ def lost_by_jumps(u: Fields) -> CoefficientFunction:
 
 
 class JumpHeat(OfFacet):
-    """Equation of the mean of upwinding's power over a facet, W/m^2: both sides share the heat of a jump."""
+    """Equation of the mean of upwinding's power over a facet, W/m^2; by this mean the cells on both sides
+    share the heat of a jump."""
 
     name = "jump_heat"
 
