@@ -58,7 +58,7 @@ class _Faster(FlowRule):
         for name in ("nu", "q", "floor", "rate_floor", "reads_conjugate", "has_trace"):
             object.__setattr__(self, name, getattr(self.rule, name))
 
-        # the factor is no polynomial, so that only a rule that is linear in M keeps its degree
+        # the factor is not a polynomial, so that only a rule that is linear in M keeps its degree
         object.__setattr__(self, "degree", 1.0 if self.rule.degree == 1 else math.inf)
 
     @property
@@ -129,9 +129,9 @@ class Activated(_Activation, _Faster):
 class WLF(_Faster):
     """A flow rule's rate times 1/a_T = 10^{C_1 (theta - theta_R)/(C_2 + theta - theta_R)}.
 
-    Williams, Landel and Ferry (1955) describe polymers near their glass transition so: all relaxation times
-    are multiplied by a_T.  The rate vanishes as theta falls to theta_R - C_2, and stays zero below.  Raises
-    ParameterError if a parameter is out of its range.
+    Williams, Landel and Ferry (1955) describe polymers near the glass transition in this way: all relaxation
+    times are multiplied by a_T. The rate vanishes as theta falls to theta_R - C_2, and stays zero below.
+    Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ class WLF(_Faster):
     def factor(self, z: Values) -> Any:
         """1/a_T."""
         theta = z[TEMPERATURE] if self.temperature is None else value_at(self.temperature, z)
-        least = 1e-2 * self.C_2  # there the shift is a hundred times C_1 decades
+        least = 1e-2 * self.C_2  # at this temperature the shift is a hundred times C_1 decades
         above = theta + (self.C_2 - self.theta_R)
         if isinstance(above, (int, float)):
             above = max(above, least)

@@ -39,9 +39,10 @@ _ONE = np.ones(1)
 
 
 class _Node:
-    """The common base of arrays and linear forms: linear maps of entries, each with its transpose.
+    """The common base of arrays and linear forms, with linear maps of entries and their transposes.
 
-    It is no abstract class of Python: ``isinstance`` would take five times as long."""
+    The class is not an abstract class of Python, with which ``isinstance`` would take five times as long.
+    """
 
     __slots__ = ()
     __array_ufunc__ = None  # numpy's numbers leave the operation to these classes
@@ -120,7 +121,8 @@ class Array(_Node):
     is_constant: bool
 
     def __init__(self, value: np.ndarray, parents: Sequence[tuple[Array, Any]] | None = ()) -> None:
-        """``parents`` are operands, each with the map of a derivative by this array to that by the operand.
+        """``parents`` are operands, each with the map from a derivative by this array to the derivative by
+        the operand.
 
         An empty sequence makes an independent argument, None a constant.
         """
@@ -189,7 +191,7 @@ class Array(_Node):
     def __pow__(self, exponent: float) -> Array:
         if not self.is_scalar or not isinstance(exponent, (int, float)):
             raise TypeError("only scalars have powers, with numbers as exponents")
-        if exponent < 1:  # at zero such a power has a value and no derivative
+        if exponent < 1:  # at zero a power with this exponent has a value, but no derivative
             return Array(
                 self.value ** float(exponent),
                 [(self, lambda g: exponent * self.value ** float(exponent - 1) * g)],
@@ -267,7 +269,8 @@ class Array(_Node):
 
 
 class MappedArray(Array):
-    """The image of an array under a constant matrix, computed at first access: a trace does without it."""
+    """The image of an array under a constant matrix, computed at first access, because a trace does not need
+    the image."""
 
     __slots__ = ("_made", "_matrix", "_source")
 
@@ -292,7 +295,7 @@ class MappedArray(Array):
 
 
 class ConstantInCells(Array):
-    """Matrices that are constant in each cell: a product with vectors is one small product a cell."""
+    """Matrices that are constant in each cell, so that a product with vectors is one small product a cell."""
 
     __slots__ = ("_by_cells", "_points")
 
@@ -402,7 +405,7 @@ def _backwards(root: Any, seed: np.ndarray) -> Iterator[tuple[Any, np.ndarray]]:
     ``seed`` is the derivative by ``root``."""
     slopes, nodes, latest = {root.number: seed}, {root.number: root}, [-root.number]
     while latest:
-        number = -heapq.heappop(latest)  # every node computed from this one has a larger number
+        number = -heapq.heappop(latest)  # all nodes computed from this node have larger numbers
         node, g = nodes.pop(number), slopes.pop(number)
         yield node, g
         for parent, pull in node.parents:

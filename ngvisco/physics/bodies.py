@@ -24,11 +24,11 @@ from ngvisco.physics.tensors import Tensor, if_positive, sqrt, tr
 from ngvisco.physics.variables import CreepFrame, Values, Variable
 
 NO_INTERFACE = 1e-6
-"""Change over a cell of a fraction, or of a logarithm that bodies average, below which the cell has no
-interface: the direction of a slope that is rounding means nothing."""
+"""A cell has no interface if a fraction, or a logarithm that bodies average, changes by less than this number
+over the cell, because the direction of a slope that is rounding has no meaning."""
 
 TRACE = 1e-3
-"""The amount at rest that is added for an absent body, as a share of the amount of all matter."""
+"""An absent body counts with this share of the amount of all matter, at rest."""
 
 HARDENING_TRACE = 0.1
 """The share of all matter, N, that is added to the amount n_i of a body that hardens: K_i and n_i are
@@ -156,7 +156,8 @@ class Fractions:
 
 @dataclass(frozen=True)
 class Interface:
-    """A quantity of bodies; the slope of its mean is along the normals of the interfaces between them."""
+    """A quantity of bodies, whose mean has its slope along the normals of the interfaces between the
+    bodies."""
 
     values: tuple[tuple[str, float], ...]
     """Pairs of a body's name and its value of the quantity."""
@@ -170,7 +171,8 @@ class Interface:
 
 @dataclass(frozen=True)
 class Parting:
-    """The law by which bodies part: an interface's opening strains more compressible matter in their place.
+    """The law by which bodies part: an interface's opening strains more compressible matter in place of the
+    bodies.
 
     In a cell with the interface's normal n, body i has the strain rate D_i = D - o_i opening(D, n x n): its
     own share of a change of volume along n, and of shear across n, is r_i = 1 - o_i.  r_i is the compliance
@@ -257,7 +259,7 @@ class Body:
     """
 
     name: Annotated[str, Quantity(example="disc")]
-    where: StartPlace | None = field(default=None, repr=False)  # for the start alone
+    where: StartPlace | None = field(default=None, repr=False)  # used for the start only
     material: Material
     viscosity: Viscosity | None = None
     creep: FlowRule | None = None

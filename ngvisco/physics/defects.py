@@ -25,11 +25,12 @@ from ngvisco.physics.variables import (
 )
 
 DRIFT = 0.1
-"""The cell mean of |det F/J - 1| above which a step is refused, as the stress has this relative error."""
+"""A step is refused if the cell mean of |det F/J - 1| is above this number, which is the relative error of
+the stress."""
 
 
 def parted(material: Material, pair: str, rms: float, largest: float) -> str:
-    """The message of a run about a ``pair`` of variables with these relative differences."""
+    """The message of a run about a ``pair`` of variables with relative differences."""
     return (
         f"{pair} differ by {rms:.1%} in the mean square, {largest:.1%} at most: the variables no longer "
         "belong to one distortion, and the stress is wrong by as much, though the ledger closes; the remedy "
@@ -85,9 +86,9 @@ def drifts(material: Material, z: Values, traced: Collection[str] = ()) -> dict[
     F, and det z = J^n without drift.  Variables in ``Material.continued`` have no drift, as their J may be
     <= 0.
 
-    For F F^T only the loss of det F counts, and the drift is at most zero: a mean of such tensors has a
-    larger determinant than the tensors (Minkowski), and an energy above rest.  Where rotations differ, a
-    mean of F has a smaller determinant, and energy at rest becomes free.
+    For F F^T the drift is at most zero, so that only a loss of det F counts: a mean of such tensors has a
+    larger determinant than the tensors (Minkowski), and an energy above the energy at rest.  A mean of F over
+    different rotations has a smaller determinant, so that energy at rest becomes motion.
     """
     volume = next((v for v in material.variables if isinstance(v, (Jacobian, ReciprocalJacobian))), None)
     if volume is None or volume.name in material.continued:

@@ -12,7 +12,8 @@ phi'(a) : (b - a) is >= 0.  This holds where phi is convex in all strains togeth
 strains count as independent, as the discrete J is not exactly det F.  ``check_convexity`` evaluates the
 distance for random states a.  For each a, some states b lie near a and farther along the eigenvector of the
 Hessian's smallest eigenvalue, and one is another random state.  States whose variables fit together as in a
-motion (J = det F, ...) are cited first: a violation elsewhere matters only as far as variables drift apart.
+motion (J = det F, ...) are cited first: a violation at other states matters only as far as variables drift
+apart.
 """
 
 import warnings
@@ -50,7 +51,7 @@ _OTHERS = {
 }
 """NGSolve's names of the leaves of an expression, and the names that messages use."""
 _PAIRINGS = 8
-"""Pairs for each sampled state in the check that a set of states is convex."""
+"""Number of pairs for each sampled state in the check that a set of states is convex."""
 
 
 def check_energy(material: Material) -> None:
@@ -60,7 +61,7 @@ def check_energy(material: Material) -> None:
         check_energy(inner)  # a wrapper derives its energy from the energy of the inner material
         return
     phi, slopes = _of_state(material, *_given(material), material.energy)
-    if max(slopes) <= 1e-14 * max(np.abs(sampled(phi))):  # derivatives that cancel leave rounding
+    if max(slopes) <= 1e-14 * max(np.abs(sampled(phi))):  # derivatives that cancel leave only rounding
         expected = (
             f"an energy that changes with {_names(material)}: this one is a constant, without any stress"
         )
@@ -172,7 +173,8 @@ class StateSampling:
         return states_of(self.material, F, self.dim)
 
     def changed(self, fitting: np.ndarray) -> np.ndarray:
-        """The states with independent random changes of each strain; discrete strains hardly fit together."""
+        """The states with an independent random change of each strain, because discrete strains hardly fit
+        together."""
         states = fitting.copy()
         for variable in self.material.variables:
             part = states[:, self.space.slices[variable.name]]
@@ -221,7 +223,7 @@ class ConvexityReport:
     worst: float = 0.0
     """Smallest [phi(b) - phi(a) - phi'(a):(b - a)]/|b - a|^2, Pa; 0 when the energy passed."""
     point: dict[str, np.ndarray] | None = None
-    """State a of the cited pair, 3x3 or scalar values by name; None when the energy passed."""
+    """The state a of the cited pair, 3x3 or scalar values by name; None when the energy passed."""
     direction: dict[str, np.ndarray] | None = None
     """The increment b - a of the cited pair."""
     reachable: bool = False
@@ -414,7 +416,7 @@ def check_isotropy(material: Material, *, dim: int = 3, spread: float = 0.4, see
         if not finite.any():
             continue
         energies = energy[np.isfinite(energy)]
-        # relative to the energy's spread, as its constant is arbitrary, and above rounding
+        # relative to the energy's spread, because an energy's constant is arbitrary, and above rounding
         bound = 1e-8 * np.ptp(energies) + 1e-13 * np.abs(energies).max()
         change = np.where(finite & (change > bound), change, 0.0)
         i = int(np.argmax(change))
@@ -424,7 +426,7 @@ def check_isotropy(material: Material, *, dim: int = 3, spread: float = 0.4, see
 
 
 def _turned(material: Material, dim: int, Q: np.ndarray, states: np.ndarray) -> np.ndarray:
-    """The given states as an observer turned by Q sees them."""
+    """The given states as seen by an observer that is turned by Q."""
 
     def turn(state: CoefficientFunction) -> CoefficientFunction:
         z = material.states(dim).tensors(lambda: state)

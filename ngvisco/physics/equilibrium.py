@@ -33,13 +33,13 @@ from ngvisco.physics.materials.thermal import Entropy, Thermal
 
 _ITERATIONS = 100
 _CONVERGED = 1e-7
-"""Newton increment, relative to J_i and psi_S/psi_SS, below which the iteration ends: the error is its
-square."""
+"""The iteration ends when a Newton increment, relative to J_i and psi_S/psi_SS, is below this number; the
+error is the increment's square."""
 _LEAST = 0.2
 """The factor by which a step reduces J_i at most."""
 
 _FLAT = 1e-3
-"""The least J_i: a body whose energy is finite at J = 0 is compressed no further by the others."""
+"""The least J_i, to which other bodies may compress a body whose energy is finite at J = 0."""
 
 Energies = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, ...]]
 """Function of y, (points, bodies, size), and the points' numbers: psi, (points, bodies), psi' and psi''."""
@@ -50,8 +50,8 @@ def equilibrium(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """W, its slope and second derivative by n_i and, with heat, s; NaN at points without an equilibrium.
 
-    Newton's method finds y_i and m from ``start``, (points, bodies, size), at points where this is finite; n
-    is (points, bodies), and ``total``, (points, size), is c.
+    Newton's method finds y_i and m from ``start``, (points, bodies, size), at points where ``start`` is
+    finite; n is (points, bodies), and ``total``, (points, size), is c.
     """
     y, shape = start.copy(), (*start.shape, start.shape[2])
     psi, slope, m = np.full(n.shape, np.nan), np.full(y.shape, np.nan), np.full(total.shape, np.nan)

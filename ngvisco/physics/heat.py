@@ -30,7 +30,7 @@ class WallHeat:
     """The heat flux into the body through a wall: flux + coefficient (temperature - theta) (Robin, Newton's
     cooling), and the share of the wall's friction heat that the body gets.
 
-    A large coefficient holds the wall at the temperature.  A wall without it is insulated.  Raises
+    A large coefficient holds the wall at the temperature.  A wall without ``WallHeat`` is insulated.  Raises
     ParameterError if a parameter is out of its range, one of temperature and coefficient is given without the
     other, or no parameter is given.
 

@@ -84,7 +84,7 @@ class StateSpace:
         where, space = self.slices[name], self.spaces[name]
         if space.is_scalar:
             return components[where.start]
-        # one constant matrix that selects and embeds: far cheaper to linearise than component sums
+        # one constant matrix selects and embeds, which is far cheaper to linearise than sums of components
         matrix = np.zeros((9, self.size))
         matrix[:, where] = space.columns
         return linear_map(matrix, components, (3, 3))
@@ -163,7 +163,7 @@ class Material(ABC):
         """Stored energy per actual volume, Pa, from the variables' values by name."""
 
     def with_elastic_state(self, state: ElasticState) -> Material:
-        """The material by F or by B = F F^T, as ``state`` says; itself if its state is fixed already."""
+        """The material by F or by B = F F^T, as ``state`` says; unchanged if its state is fixed already."""
         return self
 
     @property
@@ -193,13 +193,13 @@ class Material(ABC):
 
     @property
     def referential_density(self) -> Modulus | None:
-        """The density rho_R, kg/m^3, of an energy that reads rho = rho_R/J: it ties the initial J to the
-        initial density; None (default) for others."""
+        """The density rho_R, kg/m^3, of an energy that reads rho = rho_R/J, which relates the initial J to
+        the initial density; None (default) for other energies."""
         return None
 
     @property
     def continued(self) -> frozenset[str]:
-        """Names of variables whose bounds (``Variable.positive``) do not bind, as the energy is continued.
+        """Names of variables whose bounds (``Variable.positive``) do not bind: the energy is continued.
 
         A Yosida approximation and J_min continue an energy.  An energy that merely has values at J <= 0, such
         as (J - 1)^2, is not continued: J <= 0 means interpenetration.
@@ -210,8 +210,8 @@ class Material(ABC):
         """Scalars, besides the variables' bounds, that must be > 0 for the energy to have a value, by their
         names in messages; empty by default.
 
-        The set of states where all scalars are positive has to be convex, as with scalars concave in z: then
-        it contains all states between one of its states and a cell's mean in it.
+        The set of states where all scalars are positive has to be convex, as with scalars concave in z, so
+        that the set contains all states between two of its states, as a state and its cell's mean.
         """
         return {}
 
@@ -243,7 +243,7 @@ class Material(ABC):
         return frozenset()
 
     def taking_part(self, z: Values) -> Values:
-        """Factors in [0, 1] of sym L and Pi in rates, by the variables' names; 1 if not named."""
+        """Factors in [0, 1] of sym L and Pi in rates, by names of variables; 1 for all other variables."""
         return {}
 
     @property
@@ -252,13 +252,13 @@ class Material(ABC):
         return None
 
     def parted(self, z: Values) -> Values:
-        """Shares of an interface's opening that other matter takes, by variables' names; 0 if not named."""
+        """Shares of an interface's opening that other matter takes, by variables; 0 for all others."""
         return {}
 
     def rate(self, variable: Variable, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
         """rate(z; L, Pi) of a variable; for a density without the part -(tr L) z, which its flux contains.
 
-        With ``INTERFACE`` in ``z``, n x n, matter parts there (``parted``).
+        With ``INTERFACE``, n x n, in ``z``, matter parts at this interface (``parted``).
         """
         share = self.taking_part(z).get(variable.name)
         if share is not None:
@@ -387,7 +387,7 @@ def mandel_stress(
 ) -> Tensor:
     """Mandel stress M in R^{3x3}_dev, Pa, from the given conjugates of all variables, or of ``names`` alone.
 
-    M is minus the derivative of sum_i zeta_i : rate_i(z; 0, Pi) in symmetric trace-free Pi; for F it is
+    M is minus the derivative of sum_i zeta_i : rate_i(z; 0, Pi) by the symmetric trace-free Pi; for F it is
     sym dev(F^T S_F), paper: Mandel-stress-polyconvex.
     """
     space = trace_free_tensors(dim)
@@ -404,7 +404,7 @@ def mandel_stress(
 
 
 def volume_ratio(material: Material, z: Values) -> Tensor:
-    """J from the first scalar that determines it, else from the first tensor whose determinant does."""
+    """J from the first scalar, else from the first tensor's determinant, that determines J."""
     variables = sorted(material.variables, key=lambda v: v.kind != "scalar")
     ratios = (v.volume_ratio(z[v.name]) for v in variables)
     power, exponent = next(ratio for ratio in ratios if ratio is not None and abs(ratio[1]) > 1e-12)

@@ -25,10 +25,10 @@ class MixedViscosity(Viscosity):
 
         S(eps) = P eps + P eps^T - 2 P eps P,   P = n x n,
 
-    of dev eps the viscosity is H, 1/H = sum theta_i/G_i; for the rest, which both sides share, the viscosity
-    is A = sum theta_i G_i.  D = 2 A dev eps - 2 (A - H) S(dev eps) is symmetric, and D : eps >= 0.  n is the
-    normal at the step's start.  The viscosity is A for all parts if a body has no shear viscosity, or a
-    nonlinear one.
+    of dev eps the viscosity is H, 1/H = sum theta_i/G_i; for the rest of dev eps, which both sides share, the
+    viscosity is A = sum theta_i G_i.  D = 2 A dev eps - 2 (A - H) S(dev eps) is symmetric, and D : eps >= 0.
+    n is the normal at the step's start.  The viscosity is A for all parts if a body has no shear viscosity,
+    or a nonlinear one.
 
     If bodies part, D_i acts on the body's own strain rate instead (``Parting``), and the stress is mapped by
     the transpose.

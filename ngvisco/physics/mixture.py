@@ -13,9 +13,9 @@ convex: an absent body is a trace of matter at rest.  Hardening adds w phi_h(K/w
 delta), which is n phi_h(k) where the body fills the point.  Bodies with heat have one temperature and one
 entropy s, and V(n) becomes W(n, s).
 
-Body i has the spin W, the strain rate chi_i D and the creep rate chi_i Pi_i. Its fraction determines chi_i
-from 0 to 1 (``taking_part``): where the fraction is <= 0, tensors of the body turn, but neither stretch nor
-bear stress.
+Body i has the spin W, the strain rate chi_i D and the creep rate chi_i Pi_i.  The body's fraction determines
+chi_i from 0 to 1 (``taking_part``): where the fraction is <= 0, tensors of the body turn, but neither stretch
+nor bear stress.
 """
 
 from __future__ import annotations
@@ -59,7 +59,8 @@ from ngvisco.physics.tensors import IDENTITY, Tensor, identity_like
 from ngvisco.physics.variables import PRESSURE, Jacobian, Values, Variable
 
 _LIGHTEST = "the density, less half of that of the lightest body"
-"""Name of the bound on the density: the bodies' forces would throw away matter lighter than every body."""
+"""Name of the bound on the density, without which the bodies' forces would throw away matter lighter than
+every body."""
 
 _SAME = 1e-9
 """Relative difference below which two volumetric energies count as one function."""
@@ -76,11 +77,11 @@ class Mixture(Material):
     bodies: tuple[Body, ...]
     """The bodies; a parameter made of a modulus has the body's name as a prefix."""
     carried: tuple[Parameter, ...] = ()
-    """Parameters of the model's other laws."""
+    """Parameters of the other laws of the model."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "bodies", tuple(_with_own_names(body) for body in self.bodies))
-        _ = self.parameters  # raises for two parameters of one name
+        _ = self.parameters  # raises ParameterError for two parameters of one name
 
     @cached_property
     def energies(self) -> dict[str, ReferenceEnergy]:
@@ -182,7 +183,7 @@ class Mixture(Material):
         return replace(self, bodies=tuple(bodies))
 
     def with_carried(self, parameters: Sequence[Parameter]) -> Mixture:
-        """The mixture, with those ``parameters`` of the model's other laws added that it lacks."""
+        """The mixture with further ``parameters``, of the model's other laws, that it lacks."""
         more = distinct((*self.parameters, *parameters))[len(self.parameters) :]
         return replace(self, carried=(*self.carried, *more)) if more else self
 

@@ -180,7 +180,7 @@ class Model:
         material = self.material.with_elastic_state(state)
         if material.variables != self.material.variables:
             return replace(self, material=material)
-        settled = copy(self)  # the energy is the same: no check is repeated
+        settled = copy(self)  # no check is repeated, because the energy is the same
         object.__setattr__(settled, "material", material)
         return settled
 
@@ -286,8 +286,8 @@ class Model:
 
 
 MOST_DENSER = 1e10
-"""Ratio of bodies' densities above which the lighter body's momentum is below the solver's tolerance, 1e-10,
-in a cell with both."""
+"""Ratio of bodies' densities above which the lighter body's momentum in a cell with both bodies is below the
+solver's tolerance, 1e-10."""
 
 _NO_CREEP = Words(None, " with a Network, whose branches have theirs")
 
@@ -361,8 +361,9 @@ def require_names_and_one_rest(bodies: Sequence[Any]) -> None:
 def open_state(creep: FlowRule | None, material: Material, m: int) -> tuple[ElasticState, str]:
     """The elastic state of a material that leaves it open, with variables of order ``m``, and the reason.
 
-    "B" with creep, of the material or of a branch, since F then winds up.  "B" for m = 0: with constants
-    in cells det F and J drift apart faster than with polynomials, and with F this drift frees rest energy.
+    "B" with creep, of the material or of a branch, because F winds up by creep. "B" for m = 0, because with
+    constants in cells det F and J drift apart faster than with polynomials, and with F this drift frees rest
+    energy.
     """
     if _flows(creep, material):
         return "B", "there is creep"

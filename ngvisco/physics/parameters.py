@@ -1,22 +1,22 @@
 """Parameters that travel with the matter, and moduli that are functions of them.
 
-A parameter theta obeys dt theta + (v . grad) theta = 0.  It is a variable of the material like the strains,
-with a conjugate zeta = d phi/d theta.  Therefore the elastic force has the part that balances d phi/dx, the
-Cauchy stress is right and the ledger closes.  An energy that reads the place x instead has a force that
-nothing balances, and is refused (``ngvisco.physics.energy_checks``).
+A parameter theta obeys dt theta + (v . grad) theta = 0.  A parameter is a variable of the material like the
+strains, with a conjugate zeta = d phi/d theta.  Therefore the elastic force has the part that balances d
+phi/dx, the Cauchy stress is right and the ledger closes.  An energy that reads the place x instead has a
+force that nothing balances, and is refused (``ngvisco.physics.energy_checks``).
 
-A cell that a parameter's jump has moved into has the mean of the carried number over both sides.  The mean of
-theta itself (arithmetic) is wrong by far for a modulus that jumps by orders of magnitude: a share of 1e-5
-with the value 1e6 adds 10 to the value 1 of the rest.  ``Parameter.mean`` chooses the function of theta that
-is carried.  The law chooses the mean of a modulus that is a function of the place: a creep modulus G_m, of a
+A cell with a jump of the parameter has the mean of the carried number over both sides.  The mean of theta
+itself (arithmetic) is wrong by far for a modulus that jumps by orders of magnitude: a share of 1e-5 with the
+value 1e6 adds 10 to the value 1 of the rest.  ``Parameter.mean`` chooses the function of theta that is
+carried.  The law chooses the mean of a modulus that is a function of the place: a creep modulus G_m, of a
 dashpot in series with a spring, is carried by its fluidity 1/G_m; other moduli > 0 by their logarithm; moduli
-that may be 0 by their eighth root, with which that share adds 4e-4; temperatures, densities and fluidities
-are carried themselves.
+that may be 0 by their eighth root, with which a share of 1e-5 adds 4e-4; temperatures, densities and
+fluidities are carried themselves.
 
-A parameter is no strain.  phi need not be convex in it, and the ledger's ``bregman`` may have either sign
-where parameters are transported.  Quadratic regularisation, Yosida approximation and the diffusion of the
-fields do not change a parameter.  In a run with a limiter (``ngvisco.forms.bounds``) it stays within the
-range of its start values.
+A parameter is not a strain. phi need not be convex in parameters, and the ledger's ``bregman`` may have
+either sign where parameters are transported.  Quadratic regularisation, Yosida approximation and the
+diffusion of the fields do not change a parameter.  In a run with a limiter (``ngvisco.forms.bounds``) a
+parameter stays within the range of its start values.
 """
 
 from __future__ import annotations
@@ -49,7 +49,8 @@ _SQUARINGS = 3
 """The number of squarings that undo the eighth root."""
 
 _LEAST = 1e-100
-"""Value of the carried 1/theta where its polynomial, which overshoots beside a jump, is not positive."""
+"""Value that replaces the carried 1/theta where its polynomial, which overshoots beside a jump, is not
+positive."""
 
 
 class ParameterExpression(ABC):
@@ -349,7 +350,8 @@ def expressions_in(value: object) -> Iterator[ParameterExpression]:
 
 
 def substituted(law: T, value_of: Callable[[ParameterExpression], Any]) -> T:
-    """A law or a material with ``value_of(expression)`` in place of each expression; itself if it has none.
+    """A law or a material with ``value_of(expression)`` in place of each expression, or the same object if it
+    has no expression.
 
     The law's checks do not run again, as values at points are no numbers.
     """
@@ -416,7 +418,8 @@ def _with_own_names(law: T, name_of: Callable[[Parameter], str], is_own: bool) -
 
 
 def moduli_in(value: object) -> Iterator[tuple[str, ParameterExpression, bool]]:
-    """Yield name, expression and whether it must be > 0 (else >= 0), for each modulus with an expression."""
+    """Yield, for each modulus with an expression, the name, the expression, and whether the value must be > 0
+    (else >= 0)."""
     for expression in expressions_in(value):
         if isinstance(expression, _Modulus):
             yield expression.name, expression.expression, expression.is_positive

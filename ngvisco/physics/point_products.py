@@ -35,7 +35,7 @@ def product(left: str, right: str, out: str, a: np.ndarray, b: np.ndarray) -> np
 
 def applied(matrix: np.ndarray, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     """A constant matrix times the entries of ``value``, row by row, as tensors of ``shape``."""
-    # the matrices embed and select: they have few nonzero entries, and are real even if values are complex
+    # matrices that embed and select have few nonzero entries, and are real even if values are complex
     entries = value.reshape(matrix.shape[1], -1)
     result = np.zeros((matrix.shape[0], entries.shape[1]), value.dtype)
     for i, j, factor in _entries(np.asarray(matrix, dtype=float).tobytes(), matrix.shape[1]):

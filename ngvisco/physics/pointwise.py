@@ -31,7 +31,7 @@ _DIFFERENCE = 1e-4
 
 
 def sampled_energies(material: Material, dim: int) -> str:
-    """Energies at fixed states, Pa, as a text that is the same with any version of the libraries."""
+    """Energies at fixed states, Pa, as a text that does not depend on the versions of libraries."""
     rng = np.random.default_rng(2024)
     F = np.eye(3) + 0.25 * rng.uniform(-1, 1, (8, 3, 3))
     if dim == 2:
@@ -120,7 +120,7 @@ class ArrayResponse:
             columns = self.both(along.reshape(size, -1))[1].imag.reshape(along.shape).T / TINY
             for m, column in zip(curved, columns.swapaxes(0, 1), strict=True):
                 hessian[some, m] = hessian[some, :, m] = column
-        hessian[~np.isfinite(energy)] = np.nan  # like a logarithm's expression beyond its pole
+        hessian[~np.isfinite(energy)] = np.nan  # as the expression of a logarithm has beyond its pole
         return Response(energy, np.ascontiguousarray(slope.T), hessian)
 
 
@@ -214,7 +214,8 @@ class ExpressionResponse:
 
 @cache
 def squares(cells: int) -> tuple[Any, Any]:
-    """A mesh of ``cells`` x ``cells`` squares, whose cellwise constants hold states, and their midpoints."""
+    """A mesh of ``cells`` x ``cells`` squares, whose cellwise constants hold states, and the cells'
+    midpoints."""
     mesh = MakeStructured2DMesh(quads=True, nx=cells, ny=cells)
     return mesh, mesh.MapToAllElements({ET.QUAD: IntegrationRule([(0.5, 0.5)], [1.0])}, VOL)
 
@@ -253,7 +254,7 @@ def energy_and_slope(material: Material, dim: int) -> Both | None:
         return energy.value
 
     try:
-        both(np.ones((states.size, 1)))  # a state that need not be in the energy's domain
+        both(np.ones((states.size, 1)))  # the state may be outside of the energy's domain
     except Exception:  # an energy may raise any error for arrays
         return None
     return both

@@ -55,8 +55,8 @@ class RateTensors:
         """The tensors from the rates at z = 0 and at unit vectors; ``has_trace`` says whether Pi may have a
         trace, ``hoop`` whether L_33 may be nonzero in two dimensions.
 
-        Raises ParameterError, with the variable's name, for a rate that is not linear in L and Pi: no stress
-        belongs to it.
+        Raises ParameterError, with the variable's name, for a rate that is not linear in L and Pi, to which
+        no stress belongs.
         """
         states, space = StateSpace.of(variables, dim), (trace_free_tensors, symmetric_tensors)[has_trace](dim)
         n, plane = states.size, dim * dim
@@ -167,8 +167,8 @@ class RateTensors:
         return self._scattered(1, zeta, self.linear.shape[:2])
 
     def opening(self, X: np.ndarray, openings: np.ndarray) -> np.ndarray:
-        """The motion of the openings alone, (X, points), from a motion X; ``openings`` is their matrix,
-        (dim^2, entries of L, points)."""
+        """The motion of the openings alone, (X, points), from a motion X; ``openings`` is the openings'
+        matrix, (dim^2, entries of L, points)."""
         opening = np.zeros_like(X)
         opening[: len(openings)] = np.einsum("xyp,yp->xp", openings, X[: self.gradients])
         return opening
@@ -205,7 +205,8 @@ class RateTensors:
     def _slopes(self) -> tuple[tuple[np.ndarray, sp.csr_matrix], ...]:
         """T as sparse matrices: from X to (n, m), from n to (X, m), and with C from (m, 1) to (n, X).
 
-        Each has the numbers of its rows that are not zero, and these rows."""
+        Each matrix is given by the numbers of its non-zero rows, and by these rows.
+        """
         by_X, by_zeta = (self.linear.transpose(axes) for axes in ((1, 2, 0), (0, 2, 1)))
         by_z = np.concatenate([self.linear.transpose(1, 0, 2), self.constant.T[:, :, None]], axis=2)
         result = []

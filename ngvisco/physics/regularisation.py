@@ -4,9 +4,9 @@
 energy are materials: ``WithQuadratic`` and ``Yosida`` wrap any material, also one another, and the parameter
 ``J_min`` continues the singular part of an energy linearly.
 
-The diffusion of the fields needs phi''(z) at rest and the directions in which it vanishes.  Some energies are
-linear in some variables (energies with -epsilon ln J in K = ln J / J, many in B = F F^T); the conjugates of
-these variables are constant.  In all other variables phi'' has to be positive definite; ``WithQuadratic``
+The diffusion of the fields needs phi''(z) at rest, and the directions in which phi'' vanishes.  Some energies
+are linear in some variables (energies with -epsilon ln J in K = ln J / J, many in B = F F^T); the conjugates
+of these variables are constant.  In all other variables phi'' has to be positive definite; ``WithQuadratic``
 makes it so for every convex energy.  phi'' is the second derivative by the strains, not by parameters.
 """
 
@@ -107,7 +107,7 @@ class Regularisation:
         """The cut-off K(rho) (paper: cut-off).
 
         K is 1 on [0, rho_max], 0 below 0 and above rho_max + width, and 1 - 3 s^2 + 2 s^3 with s = (rho -
-        rho_max)/width between: C1 but for the jump at 0, where K(rho) rho is Lipschitz.
+        rho_max)/width between: K is C1 except for the jump at 0, where K(rho) rho is Lipschitz.
         """
         if self.rho_max is None:
             return CF(1.0)
@@ -174,7 +174,7 @@ def curvature_of(material: Material, dim: int) -> Curvature:
     hessians = hessians[np.isfinite(hessians).all(axis=(1, 2))]
     sizes = np.abs(hessians).max(axis=(1, 2), keepdims=True)
     scaled = hessians / np.where(sizes > 0, sizes, 1.0)
-    # the mean of non-negative matrices has their common kernel; for other matrices it is checked below
+    # the kernel of a mean of non-negative matrices is their common kernel; for other matrices this is checked
     values, vectors = np.linalg.eigh(scaled.mean(axis=0))
     kernel = vectors[:, np.abs(values) <= _ZERO]
     if np.abs(scaled @ kernel).max(initial=0.0) > _ZERO:

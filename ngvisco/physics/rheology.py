@@ -58,7 +58,8 @@ class Viscosity(ABC):
         return inner(self.stress(eps, z), sph(eps))
 
     def shear_dissipation(self, eps: Tensor, z: Values) -> Tensor:
-        """The power in shear, D(eps) : dev eps, W/m^3; plus ``bulk_dissipation`` it is D(eps) : eps >= 0."""
+        """The power in shear, D(eps) : dev eps, W/m^3; the sum with ``bulk_dissipation`` is D(eps) : eps >=
+        0."""
         return inner(self.stress(eps, z), dev(eps))
 
     @abstractmethod
@@ -250,7 +251,7 @@ class LinearViscosity(Viscosity):
     notation : str
         Notation of D, with the entries in the order 11, 22, 33, 23, 13, 12: "voigt" has the D_ijkl
         themselves, "mandel" the entries in an orthonormal basis, "tensor" is 3x3x3x3.  An isotropic D has
-        D_11 = K_v + 4/3 G_v in both, and D_44 = G_v in Voigt's, 2 G_v in Mandel's.
+        D_11 = K_v + 4/3 G_v in both 6x6 notations, and D_44 = G_v in Voigt's, 2 G_v in Mandel's.
     """
 
     D: Annotated[ArrayLike, Quantity("Pa s", example=np.eye(6).tolist())]
@@ -270,7 +271,8 @@ class LinearViscosity(Viscosity):
 
     @cached_property
     def mandel(self) -> np.ndarray:
-        """D in Mandel's notation, (6, 6), Pa s: its basis is orthonormal, so that it has D's eigenvalues."""
+        """D in Mandel's notation, (6, 6), Pa s; the basis is orthonormal, so that this matrix has D's
+        eigenvalues."""
         shape = (3, 3, 3, 3) if self.notation == "tensor" else (6, 6)
         expected = f"{'x'.join(map(str, shape))} finite numbers in the notation {self.notation!r}"
         try:

@@ -1,7 +1,8 @@
 """Functions of the run's time for loads and walls: steps, pulses, tables.
 
-The means of these functions over a step are exact, as the rule in time (``ngvisco.forms.time_means``) knows
-their breaks.  For any other function the rule looks for sign changes of the arguments of its ``IfPos``.
+The means of these functions over a step are exact, because the rule in time (``ngvisco.forms.time_means``)
+knows the functions' breaks.  For any other function the rule looks for sign changes of the arguments of its
+``IfPos``.
 """
 
 import csv

@@ -133,7 +133,7 @@ def linear_map(matrix: np.ndarray, A: Tensor, shape: tuple[int, ...]) -> Tensor:
     if hasattr(A, "mapped"):
         return A.mapped(matrix, shape)
     entries, read = A.Reshape((matrix.shape[1],)), np.flatnonzero(matrix.any(axis=0))
-    if 0 < len(read) < matrix.shape[1]:  # NGSolve multiplies by zeros too, at every point
+    if 0 < len(read) < matrix.shape[1]:  # NGSolve would multiply also by zeros, at every point
         some = slice(int(read[0]), int(read[-1]) + 1)
         matrix, entries = matrix[:, some], entries[some]
     product = constant(matrix) * entries
@@ -150,7 +150,8 @@ def masked(A: Tensor, mask: np.ndarray) -> Tensor:
 def log_det(A: Tensor) -> Tensor:
     """ln det A of a symmetric positive definite 3x3 tensor; NaN for any other tensor.
 
-    It is the sum of the pivots' logarithms, as det A alone is positive for two negative eigenvalues too.
+    The result is the sum of the pivots' logarithms, because det A alone is also positive for two negative
+    eigenvalues.
     """
     a, b, c = (A[i, i] for i in range(3))
     d, e, f = (A[i, j] for i, j in ((0, 1), (0, 2), (1, 2)))
@@ -197,8 +198,8 @@ def is_even(power: float) -> bool:
 def power_of_square(s: Scalar, exponent: float, floor: float) -> Scalar:
     """s^exponent for s = |.|^2 >= 0, a coefficient function or an array; differentiable at s = 0.
 
-    Small integer exponents are exact.  Others give (floor^2 + s)^exponent, as the derivative of a real power
-    is NaN at zero; ``floor`` has the units of |.| and is far below any value of interest.
+    Small integer exponents are exact.  Other exponents give (floor^2 + s)^exponent, because the derivative of
+    a real power is NaN at zero; ``floor`` has the units of |.| and is far below any value of interest.
     """
     rounded = round(exponent)
     if abs(exponent - rounded) < 1e-14 and 0 <= rounded <= 8:
@@ -301,14 +302,15 @@ def tensor_space(kind: str, dim: int) -> TensorSpace:
 
 
 _SPREAD = 1e-6
-"""Error of a closed form for eigenvalues, over the tensors' size: fifty times that near a double one."""
+"""Error of a closed form for eigenvalues, over the tensors' size: fifty times the error near a double
+eigenvalue."""
 
 
 def least_eigenvalues(tensors: np.ndarray) -> np.ndarray:
-    """Least eigenvalues of symmetric tensors, (n, 3, 3), at least of those tensors with the least of all.
+    """Least eigenvalues of symmetric tensors, (n, 3, 3), or of a part that has the least eigenvalue of all.
 
-    A closed form finds the tensors that may have it: decompositions take twenty times as long.  The result
-    has NaN if a tensor has.
+    A closed form finds the tensors that may have the least eigenvalue of all, because decompositions take
+    twenty times as long.  The result has NaN if a tensor has NaN.
     """
     (a, b, c), (_, d, e), (_, _, f) = np.ascontiguousarray(tensors.transpose(1, 2, 0))
     mean = (a + d + f) / 3

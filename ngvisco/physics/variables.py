@@ -18,12 +18,13 @@ discretisation and the derived stresses use nothing else.
 | J^a F F^T     | L B + B L^T + a (tr L) B - 2 sym(Pi B) | none, see ``LeftCauchyGreen``  |
 | J^b Cof F F^T | (2 + b)(tr L) N - 2 sym(N L) + 2 sym(Pi N) | none, see ``CofactorLeftCauchyGreen`` |
 
-The last two are for isotropic energies, as they do not contain the rotation of F.  Their Pi is the creep rate
-in the actual frame; the Pi of F is in the relaxed frame.  All variables of a material are of one frame.
+The last two are for isotropic energies, as they do not contain the rotation of F. The Pi of the last two is
+the creep rate in the actual frame; the Pi of F is in the relaxed frame.  All variables of a material are of
+one frame.
 
 The cofactor rows are the paper's (Cof' F)(L F - F Pi) written out, d/dt (J F^-T) with tr Pi = 0.  For
-Mooney-Rivlin the paper prints (Cof' F)((grad v)H - H Pi) - (7/6)(div v)H, which is a slip: the derivative of
-H = J^{-7/6} Cof F is the row above with b = -7/6.
+Mooney-Rivlin the paper prints (Cof' F)((grad v)H - H Pi) - (7/6)(div v)H, a misprint: the derivative of H =
+J^{-7/6} Cof F is in the table's row for J^b Cof F, with b = -7/6.
 """
 
 from abc import ABC, abstractmethod
@@ -155,7 +156,7 @@ class DistortionTensor(Variable):
     exponent: float = 0.0
 
     degree = 1
-    """Power of J that is the tensor's determinant, without J^exponent."""
+    """Exponent of the power of J that is the determinant of the tensor without J^exponent."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

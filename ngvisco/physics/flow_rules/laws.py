@@ -16,7 +16,7 @@ from ngvisco.physics.variables import HARDENING, PRESSURE, Values
 
 CreepLaw: TypeAlias = Literal["mandel", "conformation", "leonov"]
 DrivenBy: TypeAlias = Literal["mandel", "conformation"]
-"""Direction of the rate: M, or 2 zeta of a conformation tensor with the factor that M would have."""
+"""Direction of the rate: M, or 2 zeta of a conformation tensor in place of M."""
 
 
 class _Driven(GradientRule):
@@ -311,7 +311,7 @@ class DruckerPrager(FlowRule):
         Pi = 1/G_m (|M| - s)^+ M/|M|,   s = sqrt(2) (c cos phi + p sin phi)^+,   p = -tr T/3,
 
     so that sqrt(J_2) = |M|/sqrt(2) is limited to c cos phi + p sin phi, as by Mohr and Coulomb in plane
-    strain. The material does not dilate: tr Pi = 0.  As s depends on p, the rule then has no potential, but
+    strain.  The material does not dilate: tr Pi = 0.  Because s depends on p, the rule has no potential, but
     M : Pi >= 0 always.  The rule is local.  Raises ParameterError if a parameter is out of its range.
 
     Parameters

@@ -15,8 +15,8 @@ PointRate: TypeAlias = Callable[[np.ndarray], np.ndarray]
 
 _ITERATIONS, _HALVINGS = 50, 20
 _LAST, _NEAR, _TURNED = 1e-8, 1e-12, 1e-10
-"""Relative increments of |M| and of all components below which Newton's method ends, and part of c rate(M)
-across Y, over |Y|, up to which the rate counts as a multiple of M."""
+"""Relative increments of |M| and of all components below which Newton's method ends.  The last number is the
+largest part of c rate(M) across Y, over |Y|, with which the rate counts as a multiple of M."""
 
 
 def slope_of(rate: PointRate, M: np.ndarray) -> np.ndarray:
@@ -25,7 +25,7 @@ def slope_of(rate: PointRate, M: np.ndarray) -> np.ndarray:
     return np.stack([rate(M + unit).imag for unit in units], axis=2) / TINY
 
 
-@np.errstate(all="ignore")  # where the rate overflows the bracket is halved
+@np.errstate(all="ignore")  # the bracket is halved where the rate overflows
 def resolved(
     rate: PointRate, Y: np.ndarray, c: float, start: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -44,9 +44,9 @@ def resolved(
         low, high = np.where(defect < 0, s, low), np.where(defect < 0, high, s)
         newton = s - defect / (1 + c * value.imag / TINY)
         length = abs(newton - s)
-        # Newton's steps on an exponential have one length; the bracket is then halved
+        # on an exponential all Newton steps have one length, so that the bracket is halved
         accepted = (newton >= low) & (newton <= high) & (length <= 0.5 * moved)
-        # a rate that gives energy has no upper end
+        # for a rate that gives energy the bracket has no upper end
         middle = np.where(high < np.inf, 0.5 * (low + high), 2 * s)
         s, moved = np.where(done, s, np.where(accepted, newton, middle)), np.where(accepted, length, np.inf)
         done |= accepted & (length <= _LAST * size)

@@ -37,7 +37,7 @@ from ngvisco.physics.tensors import Tensor, exp, is_even, power_of_square, squar
 from ngvisco.physics.variables import Values, Variable
 
 TINY_STRESS = 1e-100
-"""|M|, Pa, below which its powers are smoothed, as they have no derivative at zero."""
+"""Powers of |M| are smoothed below this |M|, Pa, because they have no derivative at zero."""
 
 SMALL_STRAIN = 1e-2
 """Elastic shear strain at which the relaxation time of a rule is evaluated."""
@@ -66,7 +66,8 @@ class PlasticContent(Variable):
         return self.name.replace("content", "strain", 1)
 
     def rate(self, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
-        """The rate by the content's flux alone.  The growth by yield is not linear in Pi: a term adds it."""
+        """The rate that the flux of the content alone gives.  A term adds the growth by yield, because the
+        growth is not linear in Pi."""
         return -tr(L) * z[self.name]
 
     def from_distortion(self, F: Tensor) -> Tensor:
@@ -120,7 +121,8 @@ class FlowRule(ABC):
     has_trace: bool = False
     """Whether tr Pi may differ from zero; J then does not determine det B."""
     degree: float = math.inf
-    """Power of |M| with which the rate grows, 1 for a linear rule; infinite if it is no power."""
+    """Power of |M| with which the rate grows, 1 for a linear rule; infinite if the rate does not grow by a
+    power."""
 
     def __post_init__(self) -> None:
         require_fields(self)
@@ -184,7 +186,8 @@ class FlowRule(ABC):
         return 0.0
 
     def relaxation_time(self, shear: float, z: Values) -> float:
-        """The elastic strain over its creep rate, s, in shear by ``SMALL_STRAIN``; ``inf`` without creep.
+        """The elastic strain over the creep rate of its stress, s, for a shear strain ``SMALL_STRAIN``;
+        ``inf`` without creep.
 
         ``shear`` is the shear modulus G, Pa; ``z`` are arrays of one point.
         """

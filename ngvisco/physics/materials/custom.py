@@ -54,8 +54,8 @@ class CustomMaterial(Material):
         ``{"room to stretch": lambda B, J: 3.05 - tr(B)}``.  Each is concave, or at least positive on a convex
         set.  The limiter and the refusal of steps keep them > 0, like J.
     rho_R : float, optional
-        Referential density, kg/m^3, > 0.  With it the initial density is rho_R/J: it determines J, or J
-        determines it.
+        Referential density, kg/m^3, > 0.  With rho_R the initial density is rho_R/J, so that density and J
+        determine each other.
     """
 
     energy_parameter = "stored_energy"

@@ -5,17 +5,17 @@ Per actual volume, with A = 1/J for a material at finite strain and A = 1 for a 
     phi = g(d) a(z) + c(z) + A G_c (w(d) + l^2 |q|^2) / (c_w l),     g(d) = (1 - k)(1 - d)^2 + k,
 
 where q is the gradient of d, a is the degraded part of the energy and c the rest: c = 0, or the energy of
-volumetric compression.  The last term is G_c times the density of a crack's surface (Pham et al., Int. J.
-Damage Mech. 20, 2011).  ``AT2`` has w = d^2, c_w = 2 (Ambrosio and Tortorelli); ``AT1`` has w = d, c_w = 8/3,
-and is elastic up to a threshold.
+volumetric compression.  The last term of phi is G_c times the density of a crack's surface (Pham et al., Int.
+J.  Damage Mech. 20, 2011).  ``AT2`` has w = d^2, c_w = 2 (Ambrosio and Tortorelli); ``AT1`` has w = d, c_w =
+8/3, and is elastic up to a threshold.
 
 The matter carries d and its gradient.  The actual gradient, q = grad d with dq/dt + (v . grad) q = -L^T q,
 has a conjugate that gives the stress of the gradient term.  The referential gradient, q = F^T grad d with the
 distortion F since the start (creep included), is constant at a point of the matter, dq/dt + (v . grad) q = 0:
-its term has no stress, and a stretched crack keeps its energy.  phi is convex in z for given (d, q) and in
-(d, q) for given z, but not jointly.  Therefore the conjugates of z use the damage at the step's start
-(``Material.lagged``), and damage grows after the step, with z fixed (``ngvisco.forms.damage``; the staggered
-scheme of Roubicek, arXiv:2510.10355).
+the term of this gradient has no stress, and a stretched crack keeps its energy.  phi is convex in z for given
+(d, q) and in (d, q) for given z, but not jointly.  Therefore the conjugates of z use the damage at the step's
+start (``Material.lagged``), and damage grows after the step, with z fixed (``ngvisco.forms.damage``; the
+staggered scheme of Roubicek, arXiv:2510.10355).
 """
 
 from dataclasses import dataclass, field

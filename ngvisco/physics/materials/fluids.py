@@ -1,7 +1,7 @@
 """Barotropic fluids, and viscoelastic fluids by a conformation tensor (Oldroyd-B, Leonov, FENE-P).
 
-B = J^{-2/3} F F^T is the conformation tensor of dissolved chains.  Their energies have a barrier at det B = 0
-and their least value at B = I, so that B relaxes to I without a constraint on its determinant.
+B = J^{-2/3} F F^T is the conformation tensor of dissolved chains.  The energies of these fluids have a
+barrier at det B = 0 and their least value at B = I, so that B relaxes to I without a constraint on det B.
 ``Creep(law=...)`` chooses the fluid; with the relaxation time lambda = G_m/(4 G_e) and the viscosity eta = 2
 G_e lambda = G_m/2 the relaxation of B is
 
@@ -122,9 +122,9 @@ class BarotropicFluid(Material):
 class OldroydB(Material):
     """phi(B, J) = K_e/2 (J - 2 + 1/J) + G_e (tr B - ln det B - 3), B = J^{-2/3} F F^T.
 
-    This is the energy of Hookean dumbbells, and of Leonov's fluid; see the module's docstring.  It is
-    strictly convex in B and in J, so jointly, and singular as det B -> 0+ and J -> 0+.  dev T = 2 G_e dev B.
-    Raises ParameterError if a parameter is not a finite positive number.
+    This is the energy of Hookean dumbbells, and of Leonov's fluid; see the module's docstring.  The energy is
+    strictly convex in B and in J, and therefore jointly, and singular as det B -> 0+ and J -> 0+. dev T = 2
+    G_e dev B. Raises ParameterError if a parameter is not a finite positive number.
 
     Parameters
     ----------

@@ -7,9 +7,9 @@ contain Q, and suffices for isotropic energies, which are linear or convex in B.
 
 **Actual and referential.**  The paper's energies are per actual volume.  The referential energies are K_e/2
 (J - 1 + c)^2 + G_e |F_iso|^2 + s(J) per *referential* volume, F_iso = J^{-1/3} F, and phi is this energy over
-J (paper: exa-neo-Hookean-ref), convex neither in F nor in (F, J) but in the variables chosen here. They are
-stationary at rest, so that T(I) = 0.  (|H|^2/J = tr(J^{-2/3} F F^T)/J is not convex in J^{-2/3} F F^T and J,
-so that all referential materials have B = J^{-5/3} F F^T.)
+J (paper: exa-neo-Hookean-ref), convex neither in F nor in (F, J) but in the variables chosen here.  The
+referential energies are stationary at rest, so that T(I) = 0.  (|H|^2/J = tr(J^{-2/3} F F^T)/J is not convex
+in J^{-2/3} F F^T and J, so that all referential materials have B = J^{-5/3} F F^T.)
 
 **J_min** is the J below which the part singular at J = 0 is continued linearly (paper: rem-neo-Hookean-ref).
 The continuation is convex and C1, and has no effect as long as J >= J_min.
@@ -133,10 +133,10 @@ class NeoHookean(IsotropicElastic):
     keeps the minimum at J = 1 (paper: last sentence of exa-polyconvex-general).
 
     phi is jointly convex in (F, J) (paper: convexity-neo-Hookean), strictly in J, and blows up as J -> 0+.
-    Its minimum is on SO(3).  The stress at rest is phi(I, 1) I = (3 G_e + epsilon^2/(2 K_e)) I (with kappa:
-    (3 G_e + epsilon + (kappa epsilon)^2/(2 K_e)) I), since the energy is per *actual* volume; a body of fixed
-    shape does not feel it, and open walls have to bear it, by a pressure of minus this stress.  In simple
-    shear F = I + gamma e1 x e2, T_12 is 2 G_e gamma.
+    The minimum of phi is on SO(3).  The stress at rest is phi(I, 1) I = (3 G_e + epsilon^2/(2 K_e)) I (with
+    kappa: (3 G_e + epsilon + (kappa epsilon)^2/(2 K_e)) I), since the energy is per *actual* volume; a body
+    of fixed shape does not feel it, and open walls have to bear it, by a pressure of minus this stress.  In
+    simple shear F = I + gamma e1 x e2, T_12 is 2 G_e gamma.
 
     With ``elastic_state="B"`` phi is linear in B = J^{-2/3} F F^T and convex in (B, J), strictly in J.
     Raises ParameterError if a modulus is not positive, or ``elastic_state`` is neither "F" nor "B".
@@ -223,8 +223,8 @@ class MooneyRivlin(NeoHookean):
 class ReferentialNeoHookean(IsotropicElastic):
     """phi(H, J) = K_e/2 (J - 2 + 1/J) + G_e |H|^2, H = J^{-5/6} F (paper: exa-neo-Hookean-ref).
 
-    With epsilon > 0 phi has the further term epsilon/J^{kappa + 1}, epsilon/J^kappa per referential volume,
-    and J - 2 + 1/J becomes (J - 1 + c)^2/J with c = kappa epsilon/K_e, so that T(I) = 0 still.
+    With epsilon > 0 phi has the further term epsilon/J^{kappa + 1}, which is epsilon/J^kappa per referential
+    volume, and J - 2 + 1/J becomes (J - 1 + c)^2/J with c = kappa epsilon/K_e, so that T(I) is still 0.
 
     phi is jointly convex in (H, J), strongly in H (the paper's rem-neo-Hookean-ref), and blows up as J -> 0+.
     T_12 = 2 G_e gamma in simple shear.  As a function of (B, J), phi is linear in B and strictly convex in J.

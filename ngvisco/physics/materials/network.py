@@ -5,9 +5,10 @@ A network of branches i with energies phi_i(z_i, J), z_i the tensors of the bran
     phi = sum_i phi_i(z_i, J),   Pi_i = rate_i(M_i),   M_i the Mandel stress of phi_i alone.
 
 The stress is the sum of the branches' stresses, and the dissipation is sum_i M_i : Pi_i with each term >= 0.
-phi is jointly convex if every phi_i is.  J = det F, 1/J and other functions of the volume, which creep does
-not change, are carried once.  A branch without a flow rule is a spring.  A spring and a Maxwell branch make
-the standard linear solid, several Maxwell branches a Prony series (1795), and two a fluid of Burgers (1935).
+phi is jointly convex if every phi_i is jointly convex.  J = det F, 1/J and other functions of the volume,
+which creep does not change, are carried once.  A branch without a flow rule is a spring.  A spring and a
+Maxwell branch make the standard linear solid, several Maxwell branches a Prony series (1795), and two a fluid
+of Burgers (1935).
 """
 
 from __future__ import annotations
@@ -106,7 +107,7 @@ class Network(Material):
                 field = f"Network.branches[{name!r}].{part}"
                 raise ParameterError(field, attrgetter(part)(branch), fault)
         object.__setattr__(self, "branches", _Parts(self.branches))
-        _ = self.variables  # raises if variables of branches contradict each other
+        _ = self.variables  # raises ParameterError if variables of branches contradict each other
         self._check_names()
         self._check_volume()
 
@@ -171,7 +172,7 @@ class Network(Material):
         for name, branch in self.parts.items():
             new_names = {v.name: new.name for v, new in self._renamed(name)}
             names |= {new_names[name] for name in branch.material.continued if name in new_names}
-        # a shared variable is continued only if the energies of all branches that have it are
+        # a shared variable is continued only if all branches that have it continue their energies
         ends = {v.name for b in self.parts.values() for v in b.material.variables if not v.creeps}
         for shared in ends:
             with_it = [b.material for b in self.parts.values() if _carries(b.material, shared)]

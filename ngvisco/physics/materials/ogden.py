@@ -7,9 +7,10 @@ as at rest.  For s = k + r with 0 < r < 1
     x^r = c_0 + c_1 x + sum_j w_j x/(t_j + x),    t_j = exp(j h),
 
 is a quadrature of Stieltjes' integral for x^r, which makes tr C^s a sum of rational functions of the
-invariants. The weights come from least squares over stretches from 1/10 to 10, with exact value and two exact
-derivatives at rest; 13 terms have a relative error of 1e-6.  Symbolic derivatives for one such exponent take
-8 times as long as those of Oldroyd's energy (0.2 ms and 0.03 ms a point); even exponents are exact and cheap.
+invariants.  The weights come from least squares over stretches from 1/10 to 10, with exact value and two
+exact derivatives at rest; 13 terms have a relative error of 1e-6.  Symbolic derivatives for one such exponent
+take 8 times as long as symbolic derivatives of Oldroyd's energy (0.2 ms and 0.03 ms a point); even exponents
+are exact and cheap.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ def _weights(r: float) -> np.ndarray:
 
 
 def _vector(factors: np.ndarray, value: Tensor) -> Tensor:
-    """The vector ``factors`` times a scalar."""
+    """The product of the vector ``factors`` and a scalar."""
     return linear_map(np.asarray(factors)[:, None], value, (len(factors),))
 
 

@@ -2,8 +2,8 @@
 
 With A = 1/J = rho/rho_R, an energy psi per referential volume, J/m^3, gives phi = A psi per actual volume.
 An energy psi per mass, J/kg, gives phi = rho psi = rho_R A psi (paper: rem-referential, and the remark after
-ED-Euler-large that then T = rho psi'(F) F^T).  In F, Cof F and J a polyconvex psi gives no convex phi (paper:
-exa-neo-Hookean-ref), but in A, A F and A Cof F it does:
+ED-Euler-large that then T = rho psi'(F) F^T).  A polyconvex psi gives a phi that is not convex in F, Cof F
+and J (paper: exa-neo-Hookean-ref), but is convex in A, A F and A Cof F:
 
     phi(A, G, N) = A psi(G/A, N/A, 1/A),   G = A F,  N = A Cof F,
 
@@ -49,10 +49,10 @@ from ngvisco.words import Words, call
 class PerReferentialVolume(Material):
     """phi = psi/J with the energy psi of another material per referential volume (paper: rem-referential).
 
-    T = psi'(F) F^T/J, so that there is no stress at rest if psi is stationary there.  phi is jointly convex
-    in A = 1/J and A times the material's tensors if psi is convex in the tensors and J.  Raises
-    ParameterError for a material with other variables, or with an energy that has no expression (put
-    ``Yosida`` around this wrapper instead).
+    T = psi'(F) F^T/J, so that there is no stress at rest if psi is stationary at rest. phi is jointly convex
+    in A = 1/J and A times the material's tensors if psi is convex in the tensors and J. Raises ParameterError
+    for a material with other variables, or with an energy that has no expression (put ``Yosida`` around this
+    wrapper instead).
 
     Example::
 
@@ -114,7 +114,7 @@ class PerReferentialVolume(Material):
         return values
 
     def domain(self, z: Values) -> Values:
-        # perspectives of psi's bounds, concave where these are
+        # perspectives of psi's bounds; a perspective of a concave function is concave
         return {name: z["A"] * value for name, value in self.material.domain(self._own(z)).items()}
 
     def energy(self, z: Values) -> Tensor:
@@ -144,7 +144,7 @@ class PerMass(PerReferentialVolume):
 
 
 _ROUNDING = 1e-9
-"""Size of rounding in a second derivative, over the largest second derivative."""
+"""Largest second derivative that counts as rounding, over the largest second derivative."""
 _VOLUMES = np.linspace(0.5, 2.0, 31)
 """The values of J at which volumetric energies are compared."""
 
@@ -154,8 +154,8 @@ class ReferenceEnergy(Material):
     """The energy psi(B, J) = J phi(z) of a body's material, Pa per reference volume.
 
     If a tensor of phi is a density by its power of J, such as J^{-5/3} F F^T, psi reads J times the tensor.
-    Bodies share a point by n psi(X/n, alpha/n) (``ngvisco.physics.mixture``), which is convex where psi is.
-    Raises ParameterError for variables other than J, 1/J, ln J/J, tensors of F times powers of J and
+    Bodies share a point by n psi(X/n, alpha/n) (``ngvisco.physics.mixture``), which is convex if psi is
+    convex.  Raises ParameterError for variables other than J, 1/J, ln J/J, tensors of F times powers of J and
     parameters, for a material without one of the first three, and for an energy without an expression.
     """
 

@@ -26,7 +26,8 @@ from ngvisco.physics.parameters import Modulus
 SPRING = "spring"
 """Name of the branch that does not relax; the others are ``mode_1``, ``mode_2``, ..."""
 _SHEAR, _BULK = ("G_e", "G_mr", "G_h"), ("K_e", "K_h", "epsilon")
-"""Names of moduli that are shared among the branches, and of volume moduli, which only the first has."""
+"""Names of moduli that are shared among the branches, and of volume moduli, which only the first branch
+has."""
 
 
 def prony_network(

@@ -42,7 +42,7 @@ from ngvisco.words import Words, call
 class Entropy(Variable):
     """The entropy per actual volume, counted in ``unit``, a heat capacity, J/(m^3 K): ds/dt = -(tr L) s.
 
-    The conjugate of the number s is ``unit`` theta, Pa.
+    The conjugate of the entropy is ``unit`` theta, Pa.
     """
 
     name: str = "s"
@@ -51,10 +51,11 @@ class Entropy(Variable):
 
     is_conserved = True
     own_scale = 1e4
-    """Size of s for tolerances, in heat capacities: 1e-9 of it is 3 mK at 300 K, and rounding is 1e-11 of it.
+    """Size of s for tolerances, in heat capacities.  A change by 1e-9 of this size is 3 mK at 300 K,
+    and rounding is 1e-11 of this size.
 
     If temperatures differ by a hundredth, an increment of 1e-10 in every variable, for A = 1, changes the
-    energy above theta_R by 1e-8.
+    energy above the energy at theta_R by 1e-8.
     """
 
     def rate(self, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
@@ -68,7 +69,7 @@ class Entropy(Variable):
 NO_TEMPERATURE = Words(
     None, " for a material without a temperature; ", call("Thermal", material=...), " gives it one"
 )
-"""Values of a parameter of heat that a material without an entropy admits, for messages."""
+"""Remedy in messages about a parameter of heat in a material without an entropy."""
 
 
 def entropy_in(material: Material) -> Entropy | None:
@@ -230,7 +231,7 @@ class Thermal(Material):
         return phi
 
     def taken(self, z: Values) -> tuple[Tensor, Tensor]:
-        """The degraded thermal energy A (h + e) of the module's docstring, and A e, Pa."""
+        """The degraded thermal energy A (h + e) and A e, Pa, with h and e of the module's docstring."""
         A, heat, J = z["A"], self.c * self.theta_R, 1 / z["A"]
         ratio = exp(self.entropy.unit / self.c * z["s"] * J)
         bulk = self.coupling / self.expansion if self.expansion else 1.0
@@ -305,7 +306,7 @@ def temperature(material: Material, zeta: Values) -> Tensor | None:
 def warming(material: Material, entropy: Entropy) -> float:
     """The derivative d theta/d s near rest, K, for the parameters' typical values."""
     typical = substituted(material, lambda expression: expression.typical)
-    s = CF(1e-6).MakeVariable()  # NGSolve would take a zero for a constant
+    s = CF(1e-6).MakeVariable()  # NGSolve would treat a zero as a constant
     z = {v.name: v.from_distortion(Id(3)) for v in material.variables} | {entropy.name: s}
     slope = conjugates_along(typical.energy(z), {entropy.name: s}, {entropy.name: CF(1.0)})
     return float(np.mean(sampled(slope[entropy.name]))) / entropy.unit

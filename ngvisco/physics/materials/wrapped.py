@@ -24,8 +24,8 @@ from ngvisco.physics.variables import ReciprocalJacobian, Values, Variable
 
 @dataclass(frozen=True, kw_only=True)
 class Carrying(Wrapper):
-    """phi(z, theta) + A phi_h(K/A): a material whose moduli read carried parameters theta; if it hardens,
-    also the energy of a carried plastic strain k = K/A, and then A = 1/J is carried too.
+    """phi(z, theta) + A phi_h(K/A): a material whose moduli read carried parameters theta, with the energy of
+    a carried plastic strain k = K/A if the material hardens; A = 1/J is then carried too.
 
     ``Model`` makes this wrapper if a modulus of its laws is not a number, or a flow rule hardens.
     """
@@ -69,8 +69,8 @@ def carrying(
 ) -> Material:
     """The material with ``parameters`` among its variables, and with ``hardening`` as its only hardening.
 
-    Regularising wrappers stay outside.  Raises ParameterError for a parameter with the name of a different
-    parameter of the material.
+    Regularising wrappers stay the outermost ones.  Raises ParameterError for a parameter with the name of a
+    different parameter of the material.
     """
     if isinstance(material, (WithQuadratic, Yosida)):
         return replace(material, material=carrying(material.material, parameters, hardening))
@@ -117,7 +117,7 @@ class WithQuadratic(Wrapper):
         having = [form for form, names in zip(forms, strains, strict=True) if named <= names]
         if not having:
             raise ParameterError("WithQuadratic.only", self.only, "variables of one form, by F or by B")
-        if len(having) == 1:  # naming variables of one form asks for this form
+        if len(having) == 1:  # names of variables that only one form has choose this form
             object.__setattr__(self, "material", having[0])
 
     @property
@@ -127,7 +127,7 @@ class WithQuadratic(Wrapper):
 
     @property
     def conformation(self) -> str | None:
-        return None  # the added energy has a stress at rest
+        return None  # because the added energy has a stress at rest
 
     def conformation_of(self, branch: str) -> str | None:
         return None
@@ -161,8 +161,8 @@ class WithQuadratic(Wrapper):
 class Yosida(Wrapper):
     """phi_eps(z) = min over y of phi(y) + |z - y|^2/(2 eps), over all strains jointly, at fixed parameters.
 
-    phi_eps is convex where phi is, phi_eps <= phi, and the slope phi_eps'(z) = (z - y)/eps = phi'(y) has a
-    Lipschitz constant of at most 1/eps.  phi_eps is finite for all z, also for J <= 0.  Stress and stiffness
+    phi_eps is convex if phi is convex, phi_eps <= phi, and the slope phi_eps'(z) = (z - y)/eps = phi'(y) has
+    a Lipschitz constant of at most 1/eps. phi_eps is finite for all z, also for J <= 0.  Stress and stiffness
     at rest change by O(eps): for phi = K z^2/2, K becomes K/(1 + eps K).
 
     A damped Newton iteration finds y at every quadrature point, from a start value that depends on z alone.
@@ -220,7 +220,8 @@ class _Approximation:
         scalars = (v for v in material.variables if v.kind == "scalar" and v.positive(CF(1.0)))
         places = (space.slices[v.name].start for v in scalars)
         self.positive = [i for i in places if not self._goes_on(i)]
-        """Components of y that must stay positive: J or A of an energy singular at 0 or undefined below."""
+        """Components of y that must stay positive: J or A of an energy that is singular at 0 or undefined
+        below 0."""
 
     def _goes_on(self, i: int) -> bool:
         states = np.tile(self.rest, (3, 1))
@@ -318,7 +319,7 @@ class _Approximation:
         return y, at_y
 
     def _admitted(self, y: np.ndarray, d: np.ndarray) -> np.ndarray:
-        """The step length, 1 at most, by which positive components keep at least the share ``_SHARE``."""
+        """The step length, at most 1, with which positive components keep at least the share ``_SHARE``."""
         y, d = y[:, self.positive], d[:, self.positive]
         return np.where(d < 0, (_SHARE - 1) * y / d, 1.0).min(axis=1, initial=1.0)
 
