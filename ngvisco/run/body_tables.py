@@ -16,8 +16,9 @@ from ngvisco.physics.bodies import AMOUNT
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.tensors import inner, sym
 from ngvisco.run.files import AnyPath
-from ngvisco.run.frames import Lattice, places
-from ngvisco.run.outlines import Cut, Moments, distance, facing
+from ngvisco.run.fraction_samples import HALF, FractionSamples
+from ngvisco.run.frames import Lattice
+from ngvisco.run.outlines import Moments, distance, facing
 from ngvisco.run.series import Every, Series
 from ngvisco.words import Mention
 
@@ -26,15 +27,8 @@ if TYPE_CHECKING:
     from ngvisco.forms.system import Step
     from ngvisco.run.simulation import Simulation
 
-_HALF = 0.5
-"""Volume fraction above which a point belongs to a body."""
-_MIXED = (0.05, 0.95)
-"""Fractions between which a point is in the interface."""
 _WIDE = 3.0
 """Width of the interface in cells, above which a run warns that the body dissolves."""
-PIECES = 2
-"""Number of parts into which an edge of a cell is cut: with one part areas are too small, with three parts
-perimeters are too long."""
 
 
 class SmearedWarning(NgviscoWarning):
@@ -43,86 +37,6 @@ class SmearedWarning(NgviscoWarning):
 
 class SelfContactWarning(NgviscoWarning):
     """Two parts of a body's outline are less than a cell apart: they bear each other before they touch."""
-
-
-class FractionSamples:
-    """Volume fractions of bodies at points within the cells of a mesh, over all ranks.
-
-    Outlines have no gaps, since fractions are averaged at points where cells meet.
-
-    Parameters
-    ----------
-    simulation : Simulation
-    names : sequence of str
-        Names of bodies.
-    """
-
-    def __init__(self, simulation: Simulation, names: Sequence[str]) -> None:
-        step, material = simulation.rothe_step, simulation.model.material
-        assert isinstance(material, Mixture)
-        theta, mesh = material.fractions.at(step.now.z_tensors), step.mesh
-        self.names, self.dim, self._ranks = list(names), mesh.dim, simulation.ranks
-        self.lattice = Lattice(mesh, PIECES)
-        place, v = (x, y, z)[: mesh.dim], step.now.v
-        values = (*place, *(v[i] for i in range(mesh.dim)), step.context.h, *(theta[n] for n in names))
-        self._values = CF(values).Compile()
-
-    def read(self) -> None:
-        """Sample the present state; ``places`` then numbers the places of the points, (points,)."""
-        table, cells = self.lattice.values(self._values), self.lattice.cells
-        if self._ranks.is_distributed:
-            parts = self._ranks.gathered((table, cells))
-            starts = np.cumsum([0, *(len(table) for table, _ in parts)])
-            table = np.concatenate([table for table, _ in parts])
-            cells = np.concatenate([part + start for (_, part), start in zip(parts, starts, strict=False)])
-        dim, count = self.dim, len(self.names)
-        _, number = places(table[:, :dim])
-        sums = [np.bincount(number, theta) for theta in table[:, -count:].T]
-        averaged = (np.array(sums) / np.bincount(number))[:, number]
-        self._points, self._sizes = number[cells], table[cells[:, 0], 2 * dim]
-        self._corners = table[cells][:, :, : 2 * dim + 1]
-        self.places = number
-        self._averaged = dict(zip(self.names, averaged[:, cells], strict=True))
-        self._own = dict(zip(self.names, table[:, -count:].T[:, cells], strict=True))
-        self._cuts: dict[str, Cut] = {}
-
-    def cut(self, name: str) -> Cut:
-        """The part of the plane where a body's fraction is at least 1/2.
-
-        The columns of the result are x, y, v_1, v_2 and the size of the cell.
-        """
-        if name not in self._cuts:
-            self._cuts[name] = Cut.of(self._corners, self._points, self._averaged[name], _HALF)
-        return self._cuts[name]
-
-    def traced(self, name: str) -> tuple[Cut, np.ndarray, np.ndarray]:
-        """A body's cut with columns x, y, v_1, v_2, the shares of a part's three corners, and the part's
-        number.
-
-        The other results are the places of the corners, (parts, 3, 2), and the averaged fractions at the
-        corners, (parts, 3).
-        """
-        count = len(self._corners)
-        shares = np.broadcast_to(np.eye(3), (count, 3, 3))
-        number = np.broadcast_to(np.arange(count, dtype=float)[:, None, None], (count, 3, 1))
-        corners = np.concatenate([self._corners[:, :, :4], shares, number], axis=2)
-        theta = self._averaged[name]
-        return Cut.of(corners, self._points, theta, _HALF), self._corners[:, :, :2], theta
-
-    def smeared(self, name: str) -> float:
-        """The width of a body's interface in cells; NaN without an interface.
-
-        The width is the volume where the fraction is between 0.05 and 0.95, over the volume of an interface
-        one cell wide with the area int |grad theta| of the averaged fraction.
-        """
-        edges = np.swapaxes(self._corners[:, 1:, : self.dim] - self._corners[:, :1, : self.dim], 1, 2)
-        volumes = np.abs(np.linalg.det(edges)) / (2 if self.dim == 2 else 6)
-        theta = np.clip(self._averaged[name], 0, 1)
-        slopes = np.linalg.solve(np.swapaxes(edges, 1, 2), (theta[:, 1:] - theta[:, :1])[:, :, None])
-        of_one_cell = float((volumes * self._sizes * np.linalg.norm(slopes[:, :, 0], axis=1)).sum())
-        middle = self._own[name].mean(axis=1)
-        mixed = float(volumes[(middle > _MIXED[0]) & (middle < _MIXED[1])].sum())
-        return mixed / of_one_cell if of_one_cell > 0 else np.nan
 
 
 class Tractions:
@@ -246,11 +160,12 @@ class Bodies(Series):
     | ``traction`` | ``NAME_force_x``, ..., force of the other bodies by that stress, N, and its torque |
     |  | about the centroid, ``NAME_torque``, in 3D ``NAME_torque_x``, ..., N m |
 
-    A body that crosses a periodic boundary counts as several parts, and centroid and moments are those of the
-    parts together.  A ``SmearedWarning`` is issued, once, for a body with a place whose interface is more
-    than three cells wide, and in two dimensions a ``SelfContactWarning`` if parts of its outline face each
-    other within a cell.  A run's HDF5 file (``Checkpoints``) holds the columns in the group ``bodies``.  A
-    run raises ParameterError for a model without bodies, for a measure that needs an outline in three
+    Outlines, ellipses and gaps are those of bodies across periodic boundaries.  The centroid of a body that
+    crosses such a boundary is the mean place of its parts in the domain, and the torque is about this place.
+    A ``SmearedWarning`` is issued, once, for a body with a place whose interface is more than three cells
+    wide, and in two dimensions a ``SelfContactWarning`` if parts of its outline face each other within a
+    cell.  A run's HDF5 file (``Checkpoints``) holds the columns in the group ``bodies``.
+    A run raises ParameterError for a model without bodies, for a measure that needs an outline in three
     dimensions, and for ``gap`` of fewer than two bodies that have a place.
 
     Parameters
@@ -344,7 +259,7 @@ class Bodies(Series):
         totals = np.asarray(simulation.rothe_step.quadrature.integrate_cells(self._integrand), dtype=float)
         values = totals.reshape(self._theta.dim, -1)
         values[:, 2 : 2 + dim] /= np.where(values[:, 1:2] > 0, values[:, 1:2], np.nan)
-        there = simulation.sampler.rows(self._theta).T[:, :, None] >= _HALF
+        there = simulation.sampler.rows(self._theta).T[:, :, None] >= HALF
         # by largest values alone, because the point set of a rank may be empty
         ends = np.stack([-self._places, self._places], axis=-1).reshape(-1, 2 * dim)
         extents = np.where(there, ends, -np.inf).max(axis=1, initial=-np.inf)
@@ -359,8 +274,11 @@ class Bodies(Series):
         ]
         row = np.hstack(blocks).ravel()
         if "gap" in self.measures:
-            cuts = [[self.fractions.cut(name).ends for name in pair] for pair in self.pairs.values()]
-            gaps = np.array([distance(*both) for both in cuts])
+            outlines = {name: self.fractions.cut(name).ends for name in self._placed}
+            images = self.fractions.periods.images
+            gaps = np.array(
+                [distance(outlines[one], outlines[other], images) for one, other in self.pairs.values()]
+            )
             row = np.append(row, np.where(np.isinf(gaps), np.nan, gaps))
         return [row]
 
@@ -368,11 +286,11 @@ class Bodies(Series):
         """Values of a measure, (bodies, columns)."""
         if self.tractions is not None and measure in ("stress", "traction"):
             return self.tractions.stresses() if measure == "stress" else self.tractions.forces(centres)
-        cuts = [self.fractions.cut(name) for name in self.names]
         if measure == "outline":
+            cuts = [self.fractions.cut(name) for name in self.names]
             areas = [moments.area if (moments := Moments.of(cut.inside)) else 0.0 for cut in cuts]
             return np.array([[cut.length, area] for cut, area in zip(cuts, areas, strict=True)])
-        every = [Moments.of(cut.inside) for cut in cuts]
+        every = [Moments.of(self.fractions.whole(name).inside) for name in self.names]
         if measure == "turning":
             return np.array([[np.nan if moments is None else moments.turning()] for moments in every])
         rows = []
@@ -393,7 +311,7 @@ class Bodies(Series):
                 )
                 self._warn(simulation, name, message, SmearedWarning)
             ends = np.zeros((0, 2, 5)) if self.fractions.dim != 2 else self.fractions.cut(name).ends
-            if (cells := facing(ends)) < 1:
+            if (cells := facing(ends, self.fractions.periods.images)) < 1:
                 message = (
                     f"parts of the outline of the body {name!r} face each other at {cells:.2g} cells: they "
                     "bear each other before they touch, and may stick; take smaller cells there"

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 
 from ngvisco.errors import ParameterError, Quantity, UnknownNameError, require_path, require_some_names
-from ngvisco.run.body_tables import FractionSamples, require_bodies
+from ngvisco.run.body_tables import require_bodies
 from ngvisco.run.files import AnyPath
+from ngvisco.run.fraction_samples import FractionSamples
 from ngvisco.run.frames import read_pvd
 from ngvisco.run.series import Every, Series
 from ngvisco.run.vtu import write_lines, write_pvd

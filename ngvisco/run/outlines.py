@@ -172,6 +172,8 @@ class Gap:
         Number of the segment that begins at the point, and of the segment on the other outline.
     share : float
         Place of the closest point on the segment, 0 at its start and 1 at its end.
+    image : array (2,), m
+        Displacement of the other outline's nearest image across periodic boundaries.
     """
 
     width: float
@@ -179,30 +181,47 @@ class Gap:
     point: int
     segment: int
     share: float
+    image: np.ndarray
 
 
-def closest(one: np.ndarray, other: np.ndarray) -> Gap | None:
-    """The closest place of outlines that do not cross, (segments, 2, columns) each; None if one is empty."""
+def closest(one: np.ndarray, other: np.ndarray, images: np.ndarray) -> Gap | None:
+    """The closest place of outlines that do not cross, (segments, 2, columns) each; None if one is empty.
+
+    ``images``, (count, 2), are the displacements of the images of the other outline, with zero for itself.
+    """
     if not (len(one) and len(other)):
         return None
-    pairs = [Gap(*_to_segments(one[:, 0, :2], other, False)), Gap(*_to_segments(other[:, 0, :2], one, True))]
-    return min(pairs, key=lambda gap: gap.width)
+    gaps = []
+    for image in images:
+        moved = displaced(other, image)
+        for points, ends, is_turned in ((one, moved, False), (moved, one, True)):
+            gaps.append(Gap(*_to_segments(points[:, 0, :2], ends, is_turned), image))
+    return min(gaps, key=lambda gap: gap.width)
 
 
-def distance(one: np.ndarray, other: np.ndarray) -> float:
+def displaced(ends: np.ndarray, by: np.ndarray) -> np.ndarray:
+    """Segments, (segments, 2, columns), whose places are displaced."""
+    result = ends.copy()
+    result[:, :, :2] += by
+    return result
+
+
+def distance(one: np.ndarray, other: np.ndarray, images: np.ndarray) -> float:
     """Least distance of outlines that do not cross, (segments, 2, columns) each; inf if one is empty."""
-    gap = closest(one, other)
+    gap = closest(one, other, images)
     return np.inf if gap is None else gap.width
 
 
-def facing(ends: np.ndarray) -> float:
+def facing(ends: np.ndarray, images: np.ndarray) -> float:
     """Least distance, in cells, between two places of an outline that face each other across the outside.
 
     ``ends``, (segments, 2, columns), has the size of cells in the column after x, y, v_1, v_2. Places that
-    are more than a cell apart are not compared; the result is inf if none face each other.
+    are more than a cell apart are not compared; the result is inf if none face each other.  ``images`` are
+    displacements of the outline's images across periodic boundaries, with zero for the outline itself.
     """
     if len(ends) < 2:
         return np.inf
+    ends = np.concatenate([displaced(ends, image) for image in images])
     along, middle, sizes = (
         ends[:, 1, :2] - ends[:, 0, :2],
         ends[:, :, :2].mean(axis=1),

@@ -26,7 +26,8 @@ from scipy.sparse.linalg import splu
 from ngvisco.forms.mesh.mesh_arrays import rules
 from ngvisco.forms.term import Integrand
 from ngvisco.physics.mixture import Mixture
-from ngvisco.run.body_tables import PIECES, Bodies, densities
+from ngvisco.run.body_tables import Bodies, densities
+from ngvisco.run.fraction_samples import PIECES
 from ngvisco.run.frames import Lattice
 from ngvisco.run.outlines import closest
 from ngvisco.sensitivity.outline_slopes import Corners, OutlineSlopes, of_gap
@@ -95,21 +96,21 @@ class BodySlopes:
 
     # measures of outlines
 
-    def _outline(self, name: str) -> OutlineSlopes:
-        return OutlineSlopes(*self.table.fractions.traced(name))
+    def _outline(self, name: str, is_whole: bool) -> OutlineSlopes:
+        return OutlineSlopes(*self.table.fractions.traced(name, is_whole))
 
     def _of_outline(self, name: str, measure: Callable[[OutlineSlopes], Corners]) -> np.ndarray:
         self.table.fractions.read()
-        outline = self._outline(name)
+        outline = self._outline(name, is_whole=True)
         if not len(outline.cut.inside):
             return np.full(self.step.layout.space.ndof, np.nan)
         return self._to_state({name: measure(outline)})
 
     def _of_gap(self, one: str, other: str) -> np.ndarray:
         self.table.fractions.read()
-        outlines = {name: self._outline(name) for name in (one, other)}
-        cuts = [outline.cut for outline in outlines.values()]
-        gap = closest(*(cut.ends for cut in cuts))
+        outlines = {name: self._outline(name, is_whole=False) for name in (one, other)}
+        first, second = cuts = [outline.cut for outline in outlines.values()]
+        gap = closest(first.ends, second.ends, self.table.fractions.periods.images)
         if gap is None:
             return np.full(self.step.layout.space.ndof, np.nan)
         parts = zip(outlines.items(), of_gap(gap, *cuts), strict=True)

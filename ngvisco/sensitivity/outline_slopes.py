@@ -177,7 +177,8 @@ def of_gap(gap: Gap, one: Cut, other: Cut) -> tuple[np.ndarray, np.ndarray]:
     """Slopes of the distance of two outlines by the ends of their segments, (segments, 2, 2) each."""
     of_point, of_segment = (other, one) if gap.is_turned else (one, other)
     start, end = of_segment.ends[gap.segment, :, _PLACE]
-    off = of_point.ends[gap.point, 0, _PLACE] - (1 - gap.share) * start - gap.share * end
+    image = gap.image if gap.is_turned else -gap.image
+    off = of_point.ends[gap.point, 0, _PLACE] + image - (1 - gap.share) * start - gap.share * end
     n = off / gap.width
     by_point, by_segment = (np.zeros((len(cut.ends), 2, 2)) for cut in (of_point, of_segment))
     by_point[gap.point, 0] = n

@@ -70,10 +70,11 @@ def test_the_gap_has_slopes_by_both_outlines():
     for order in ((0, 1), (1, 0)):
         outlines = [slopes_of(fields[i]) for i in order]
         cuts = [outline.cut for outline in outlines]
-        parts = of_gap(closest(*(cut.ends for cut in cuts)), *cuts)
+        parts = of_gap(closest(*(cut.ends for cut in cuts), np.zeros((1, 2))), *cuts)
         pairs = zip(outlines, parts, order, strict=True)
         found = sum((outline.of_ends(part)[0] * changes[i][NUMBERS]).sum() for outline, part, i in pairs)
         up, down = (
-            closest(*(cut_of(fields[i] + s * h * changes[i]).ends for i in order)).width for s in (1, -1)
+            closest(*(cut_of(fields[i] + s * h * changes[i]).ends for i in order), np.zeros((1, 2))).width
+            for s in (1, -1)
         )
         assert found == pytest.approx((up - down) / (2 * h), rel=1e-6)

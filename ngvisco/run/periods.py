@@ -1,0 +1,119 @@
+"""Translations between identified boundaries, and parts of a region put together across them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from ngsolve import VERTEX, Mesh
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from ngvisco.parallel.communicator import Communicator
+
+_SAME = 1e-9
+"""Distance, in sizes of the domain, below which two points are one place."""
+
+
+@dataclass(frozen=True)
+class Periods:
+    """The periods of a domain; without periodic boundaries there are none.
+
+    Attributes
+    ----------
+    vectors : array (count, dim), m
+        One translation for each pair of directions, from a boundary to its image.
+    """
+
+    vectors: np.ndarray
+
+    @classmethod
+    def of(cls, mesh: Mesh, ranks: Communicator) -> Periods:
+        """The periods of a mesh; collective."""
+        pairs = np.array([pair for pair, _ in mesh.GetPeriodicNodePairs(VERTEX)], dtype=int).reshape(-1, 2)
+        corners = np.array([mesh.vertices[i].point for i in pairs.ravel()]).reshape(-1, 2, mesh.dim)
+        between = np.concatenate(ranks.gathered(corners[:, 1] - corners[:, 0]))
+        size = float(abs(between).max(initial=0.0)) or 1.0
+        rounded = np.round(between / (_SAME * size)).astype(np.int64)
+        # the same boundary may be the first of a pair or the second
+        leading = rounded[np.arange(len(rounded)), (rounded != 0).argmax(axis=1)]
+        _, first = np.unique(rounded * np.sign(leading)[:, None], axis=0, return_index=True)
+        return cls(between[first] * np.sign(leading[first])[:, None])
+
+    @property
+    def images(self) -> np.ndarray:
+        """Displacements of the domain's nearest images, and zero, (3^count, dim)."""
+        shares = np.array(list(product((0.0, 1.0, -1.0), repeat=len(self.vectors))))
+        moved: np.ndarray = shares @ self.vectors
+        return moved
+
+    def pairs(self, points: np.ndarray) -> list[np.ndarray]:
+        """For each period, numbers (pairs, 2) of points and of their images."""
+        if not len(self.vectors):
+            return []
+        tree, size = cKDTree(points), float(np.ptp(points, axis=0).max(initial=0.0))
+        result = []
+        for vector in self.vectors:
+            distance, image = tree.query(points + vector, distance_upper_bound=_SAME * size)
+            result.append(np.stack([np.flatnonzero(np.isfinite(distance)), image[np.isfinite(distance)]], 1))
+        return result
+
+    def offsets(self, cells: np.ndarray, is_inside: np.ndarray, pairs: list[np.ndarray]) -> np.ndarray:
+        """Displacements of cells that make the parts of a region one across periodic boundaries, (cells,
+        dim).
+
+        The corners of ``cells``, (cells, corners), are numbers of points, of which ``is_inside`` says whether
+        they are in the region, and ``pairs`` is of these points.  The largest part stays in its place, and so
+        do parts that meet their own image.
+        """
+        count, dim = len(is_inside), self.vectors.shape[1]
+        part = _connected(cells, is_inside)
+        joints = []
+        for vector, (start, end) in zip(self.vectors, (both.T for both in pairs), strict=True):
+            kept = is_inside[start] & is_inside[end]
+            joined = np.unique(np.stack([part[start[kept]], part[end[kept]]], axis=1), axis=0)
+            joints += [(a, b, -vector) for a, b in joined.tolist()]
+            joints += [(b, a, vector) for a, b in joined.tolist()]
+        of_parts = np.zeros((part.max(initial=-1) + 1, dim))
+        left = set(np.unique(part[is_inside]).tolist())
+        for first in np.argsort(-np.bincount(part[is_inside], minlength=1), kind="stable").tolist():
+            if first in left:
+                found = _followed(first, joints, dim)
+                left -= set(found)
+                if all(np.allclose(found[a] + step, found[b]) for a, b, step in joints if a in found):
+                    of_parts[list(found)] = list(found.values())
+        corner = np.where(is_inside[cells], cells, count).min(axis=1)
+        placed = np.concatenate([of_parts[part], np.zeros((1, dim))])
+        return np.asarray(placed[corner])
+
+
+def merged(count: int, pairs: list[np.ndarray]) -> np.ndarray:
+    """Numbers of ``count`` points, (count,), that are equal for points that are images of each other."""
+    ends = np.concatenate([np.zeros((0, 2), dtype=int), *pairs])
+    return _components(count, ends)
+
+
+def _components(count: int, ends: np.ndarray) -> np.ndarray:
+    """Numbers of the connected components of points with edges ``ends``, (edges, 2)."""
+    graph = coo_array((np.ones(len(ends)), tuple(ends.T)), shape=(count, count))
+    return np.asarray(connected_components(graph, directed=False)[1])
+
+
+def _connected(cells: np.ndarray, is_inside: np.ndarray) -> np.ndarray:
+    """The part of each point: points inside are connected by the cells that they share."""
+    ends = np.stack([cells, np.roll(cells, 1, axis=1)], axis=2).reshape(-1, 2)
+    return _components(len(is_inside), ends[is_inside[ends].all(axis=1)])
+
+
+def _followed(first: int, joints: list[tuple[int, int, np.ndarray]], dim: int) -> dict[int, np.ndarray]:
+    """Displacements of the parts that joints connect with a first part, which stays in its place."""
+    found, reached = {first: np.zeros(dim)}, [first]
+    while reached:
+        part = reached.pop()
+        for a, b, step in joints:
+            if a == part and b not in found:
+                found[b] = found[part] + step
+                reached.append(b)
+    return found

@@ -1,0 +1,91 @@
+"""Measures of outlines do not depend on the place of a body in a periodic domain."""
+
+from functools import reduce
+from itertools import product
+from operator import or_
+
+import numpy as np
+import pytest
+from ngsolve import cos, pi, sin, x, y
+
+import ngvisco as nv
+from ngvisco.geometries import structured_box
+from ngvisco.sensitivity.body_slopes import BodySlopes
+from ngvisco.sensitivity.variations import Variations
+
+MEASURES = ["deformation", "outline", "turning", "gap"]
+SHAPES = ("long_L", "long_B", "long_angle", "long_perimeter", "long_inside", "long_turning", "gap_long_round")
+CELLS = 12
+
+
+def ellipse(centre, length, breadth, periodic):
+    """An ellipse whose length is inclined by 0.6 rad, with its images over periodic boundaries."""
+    angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    along, across = length / 2 * np.cos(angles), breadth / 2 * np.sin(angles)
+    turn = np.array([[np.cos(0.6), -np.sin(0.6)], [np.sin(0.6), np.cos(0.6)]])
+    points = np.stack([along, across], axis=1) @ turn.T + centre
+    moves = product(*((-1, 0, 1) if axis in periodic else (0,) for axis in "xy"))
+    return reduce(or_, (nv.Polygon((points + move).tolist()) for move in moves))
+
+
+def table_of(centre, periodic="xy"):
+    """The run and its table of an inclined ellipse and a small disc to its right, turned by a periodic
+    flow."""
+    solid = {"material": nv.ReferentialNeoHookean(K_e=1.0, G_e=1.0), "density": 1.0}
+    away = (centre[0] + 0.42, centre[1])
+    bodies = [
+        nv.Body(name="long", where=ellipse(centre, 0.5, 0.3, periodic), **solid),
+        nv.Body(name="round", where=ellipse(away, 0.15, 0.15, periodic), order=1, **solid),
+        nv.Body(name="rest", **solid),
+    ]
+    X, Y = 2 * pi * (x - centre[0]), 2 * pi * (y - centre[1])
+    table = nv.Bodies(None, measures=MEASURES)
+    run = nv.Simulation(
+        structured_box((1.0, 1.0), (CELLS, CELLS), periodic=periodic),
+        nv.Model(bodies=bodies),
+        dt=0.01,
+        initial=nv.Initial(velocity=(-cos(X) * sin(Y), sin(X) * cos(Y)) if periodic == "xy" else None),
+        observers=[table],
+    )
+    return run, table
+
+
+def measured(*args):
+    """The figures of a table at the start of a run, and the sizes of their slopes by the state."""
+    run, table = table_of(*args)
+    names = table.prepare(run)
+    (row,) = table._sample(run)
+    slopes = BodySlopes(table, Variations(run.rothe_step))
+    return dict(zip(names, row, strict=True)), [np.linalg.norm(slopes.of(name)()) for name in SHAPES]
+
+
+@pytest.mark.parametrize("moved", [(6, 0), (5, 7)])
+def test_an_ellipse_over_the_boundary_has_the_measures_of_one_in_the_middle(moved):
+    """The cells of the mesh are images of each other, so that the figures agree to rounding."""
+    (inside, slopes), (over, of_over) = measured((0.5, 0.5)), measured(tuple(0.5 + np.array(moved) / CELLS))
+    for name in SHAPES:
+        assert over[name] == pytest.approx(inside[name], rel=1e-8), name
+    assert of_over == pytest.approx(slopes, rel=1e-8)
+
+
+def test_an_ellipse_over_the_wall_of_a_channel_is_not_put_together():
+    """Only identified boundaries are crossed: half of the ellipse is outside the wall."""
+    over, _ = measured((1.0, 0.5), "x")
+    assert over["long_L"] == pytest.approx(0.5, rel=0.04)
+    assert measured((0.5, 1.0), "x")[0]["long_inside"] == pytest.approx(over["long_inside"] / 2, rel=0.02)
+
+
+def test_a_layer_around_a_channel_stays_in_its_place():
+    """A layer meets its own image on both sides; its ellipse is that of the rectangle in the domain."""
+    solid = {"material": nv.ReferentialNeoHookean(K_e=1.0, G_e=1.0), "density": 1.0}
+    table = nv.Bodies(None, measures=["deformation", "outline"])
+    layer = nv.Body(name="layer", where=nv.Block((-1.0, 0.25), (2.0, 0.5)), **solid)
+    mesh = structured_box((1.0, 1.0), (8, 8), periodic="x")
+    run = nv.Simulation(
+        mesh, nv.Model(bodies=[layer, nv.Body(name="rest", **solid)]), dt=0.01, observers=[table]
+    )
+    names = table.prepare(run)
+    row = dict(zip(names, table._sample(run)[0], strict=True))
+    # 4/sqrt(12) times the sides; the outline of a layer of two cells is the two lines beside it
+    assert row["layer_L"] == pytest.approx(4 / 12**0.5, rel=1e-9)
+    assert row["layer_perimeter"] == pytest.approx(2.0, rel=1e-9)
