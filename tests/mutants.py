@@ -865,6 +865,12 @@ MUTANTS = [
             "return k - 2 + 2 * m if is_bilinear",
             "tests/solver/test_split_agrees.py::test_for_every_material_with_creep",
         ),
+        (
+            "degree of linear creep",
+            "return max(of_transport, 4 * m)",
+            "return max(of_transport, 2 * m)",
+            "tests/reduced/test_carried.py::test_rows_are_the_same_by_fewer_points",
+        ),
     ),
     *_of(
         "reduced/residual.py",
