@@ -44,7 +44,7 @@ def system(size=80):
 
 
 @pytest.mark.parametrize(("rtol", "most"), [(1e-2, 40), (1e-8, 40), (1e-8, 5)])
-def test_it_is_the_gmres_of_scipy(rtol, most):
+def test_gmres_takes_the_directions_of_scipy(rtol, most):
     matrix, right = system()
     found, taken = gmres(matrix.__matmul__, right, rtol=rtol, directions=most)
     steps = []

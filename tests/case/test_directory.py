@@ -45,7 +45,7 @@ def test_what_is_no_run_directory_is_refused(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_of_a_first_step_without_solution_its_report_stays_alone(tmp_path, monkeypatch):
+def test_a_first_step_without_solution_leaves_only_its_report(tmp_path, monkeypatch):
     """The corrected case can then run in the same directory."""
     loaded = nv.load_case(DEMOS / "couette" / "couette.toml", ["domain.maxh=0.7"])
     case = nv.load_case(loaded.source, ["domain.maxh=0.7", f"time.until={loaded.sections.time.dt!r}"])

@@ -93,7 +93,7 @@ def test_every_kind_is_tried():
 
 
 @pytest.mark.parametrize("kind", CREEPS)
-def test_a_case_names_a_flow_rule(kind, tmp_path):
+def test_a_flow_rule_of_a_case_is_that_of_its_keys(kind, tmp_path):
     keys, expected = CREEPS[kind]
     of_conformation = expected.reads_conjugate
     text = ONE.replace("LinearElastic", "OldroydB") if of_conformation else ONE
@@ -107,7 +107,7 @@ def test_a_case_names_a_flow_rule(kind, tmp_path):
 
 
 @pytest.mark.parametrize("kind", VISCOSITIES)
-def test_a_case_names_a_viscosity(kind, tmp_path):
+def test_a_viscosity_of_a_case_is_that_of_its_keys(kind, tmp_path):
     keys, expected = VISCOSITIES[kind]
     keys = f'kind = "{kind}", {keys}'
     assert case_of(ONE, "G_m = 1", tmp_path, keys).model(2).viscosity == expected

@@ -75,7 +75,7 @@ def case(place: Path, material: str = BY_PYTHON, solver: str = "split") -> nv.Ca
 
 
 @pytest.mark.parametrize("solver", ["split", "coupled"])
-def test_it_runs_as_the_same_energy_by_an_expression(place: Path, solver: str) -> None:
+def test_a_material_from_a_file_runs_as_the_same_energy_by_an_expression(place: Path, solver: str) -> None:
     found = []
     for material in (BY_PYTHON, BY_EXPRESSION):
         nv.time.Set(0.0)

@@ -100,7 +100,7 @@ def test_a_number_of_a_wall_is_a_table(tmp_path):
         ('{ file = "pull.csv", row = 1 }', "a number, or an expression"),
     ],
 )
-def test_a_number_has_one_column(tmp_path, table, message):
+def test_a_table_of_several_columns_is_refused_for_a_number(tmp_path, table, message):
     with pytest.raises(CaseError, match=message) as caught:
         load_case(written(tmp_path, PRESSED.replace("PRESSURE", table)))
     assert "walls.top.pressure" in str(caught.value)

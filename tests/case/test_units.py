@@ -110,7 +110,7 @@ def test_a_case_in_other_units_is_the_case_in_si():
             assert given[path] == value, path
 
 
-def test_its_run_is_the_run_in_si():
+def test_a_run_in_other_units_is_the_run_in_si():
     ledgers = []
     for text in (CASE, IN_SI):
         loaded = case(text)

@@ -92,7 +92,7 @@ def test_an_end_with_its_unit_may_miss_a_step_by_rounding_and_steps_are_counted_
     assert_same_run(half, finished)
 
 
-def test_no_space_left_is_said(half):
+def test_a_full_disk_is_named(half):
     (half / "log.txt").unlink()
     (half / "log.txt").symlink_to("/dev/full")
     code, _, err = command("resume", half, "--until", 0.08)
@@ -100,7 +100,7 @@ def test_no_space_left_is_said(half):
 
 
 @pytest.mark.parametrize("place", ["/proc/ngvisco-run", "/dev/null/run"])
-def test_an_unwritable_directory_is_said(place, case_file):
+def test_an_unwritable_directory_is_named(place, case_file):
     code, _, err = command("run", case_file, "-o", place)
     assert code == BAD_FILE and place.split("/run")[0] in err
 

@@ -96,7 +96,7 @@ def test_constants_in_cells_bear_no_weight_under_velocities_of_higher_order(k):
     assert speed(at_rest(**options)) < 0.01 * speed(at_rest(equilibrium=None, **options))
 
 
-def test_in_space_too():
+def test_a_body_in_three_dimensions_starts_in_equilibrium():
     mesh = {"cells": (1, 1, 2), "size": (1, 1, 1), "loads": (nv.Gravity((0, 0, -WEIGHT)),)}
     run = at_rest(density=RHO, **mesh)
     p = run.fields["pressure"]
@@ -171,7 +171,7 @@ def test_what_is_no_equilibrium_is_refused(given, error, said):
         at_rest(**{"density": RHO} | given)
 
 
-def test_a_density_that_varies_along_levels_is_said():
+def test_a_density_that_varies_along_levels_is_warned_of():
     with pytest.warns(InputWarning, match="borne by no pressure.* along levels"):
         at_rest(density=1 + x)
 
@@ -197,7 +197,7 @@ def test_a_negative_pressure_that_a_law_reads_is_said_once_with_the_remedy():
     assert len([one for one in said if "negative pressure" in str(one.message)]) == 1
 
 
-def test_who_starts_in_equilibrium_reads_none():
+def test_a_start_in_equilibrium_brings_no_warning_of_tension():
     run = frictional()
     assert not any("pressure" in line for line in scales(run).advice)
     with warnings.catch_warnings():
@@ -206,7 +206,7 @@ def test_who_starts_in_equilibrium_reads_none():
     assert ledger.column("v_max").max() < 1e-5 and run.sampler.extrema(run.fields["pressure"])[0] > -5e-3
 
 
-def test_a_case_file_has_the_keys(tmp_path):
+def test_a_case_file_starts_a_run_in_hydrostatic_equilibrium(tmp_path):
     (tmp_path / "rock.toml").write_text("""
 domain = { geometry = "box", size = ["10 km", "10 km"], maxh = "5 km" }
 material = { kind = "ReferentialNeoHookean", K_e = "50 GPa", G_e = "15 GPa" }

@@ -95,7 +95,7 @@ def test_a_closed_box_keeps_its_energy_and_gains_entropy_in_both_solvers(kind):
 @pytest.mark.long
 @pytest.mark.ci
 @pytest.mark.filterwarnings("ignore:.*no longer belong to one distortion")  # twelve cells
-def test_in_space_with_a_tensor_both_solvers_keep_the_energy_and_agree():
+def test_both_solvers_keep_the_energy_and_agree_with_a_tensor_in_three_dimensions():
     heat, found = nv.Heat(conductivity=np.diag([0.05, 0.02, 0.1]), numerical_heating=True), []
     start = nv.Initial(density=1.0, velocity=CF((*SWIRL, 0.0)), temperature=1 + 0.2 * x)
     model = nv.Model(material=SOLID, heat=heat, **ALL)

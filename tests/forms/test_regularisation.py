@@ -180,7 +180,7 @@ def test_diffusion_has_the_right_speed_and_order_m_plus_1(quantity):
     assert np.log2(coarse / fine) > 1.7
 
 
-def test_cut_off_is_c1_and_ends_where_it_should():
+def test_cut_off_is_c1_and_zero_beyond_its_width():
     law = Regularisation(rho_max=2.0, width=0.5)
     point = POINTS(0.2, 0.2)
     rho = Parameter(0.0)

@@ -473,7 +473,7 @@ def test_what_would_not_hold_is_refused_by_name(options, said):
         nv.Simulation(box((1, 1), 0.5), model, time=time, discretisation=discretisation)
 
 
-def test_it_is_true_or_false():
+def test_sharp_is_true_or_false():
     with pytest.raises(nv.ParameterError, match=r"Discretisation.sharp.*True or False"):
         nv.Discretisation(sharp=2)
 

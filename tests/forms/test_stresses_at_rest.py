@@ -104,7 +104,7 @@ def test_a_gas_is_warned_of_where_nothing_presses_it(recwarn):
 
 
 @pytest.mark.parametrize("place", ["at the walls", "inside"])
-def test_of_bodies_the_one_beside_a_wall_has_the_stress(place, recwarn):
+def test_the_stress_at_rest_is_that_of_the_body_beside_the_wall(place, recwarn):
     """The mean over the wall contains the stress in the body's half only; a medium that bears a load causes
     no warning."""
     where = nv.Block((0.0, 0.0), (1.0, 0.25)) if place == "at the walls" else nv.Ball((0.5, 0.25), 0.1)

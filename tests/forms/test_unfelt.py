@@ -34,7 +34,7 @@ def test_the_column_is_of_orders_that_feel_not_all(k, m):
         assert (unfelt > 0).all() and (unfelt < 0.02 * kinetic).all()
 
 
-def test_of_smooth_motion_it_falls_with_the_fourth_power_of_the_cells():
+def test_unfelt_energy_of_smooth_motion_is_of_fourth_order():
     sizes = [run_of(2, 0, (n, n)).ledger.start(0.0)[UNFELT] for n in (4, 8)]
     assert 12 < sizes[0] / sizes[1] < 20
 

@@ -87,7 +87,7 @@ def test_heat_is_carried_through(solver):
         ({"amounts": {"medium": 1.0}, "temperature": 300.0}, "temperature = 300.0: expected None"),
     ],
 )
-def test_bodies_that_flow_in_are_looked_at(wall, message):
+def test_wrong_amounts_of_inflowing_bodies_are_refused(wall, message):
     with pytest.raises(nv.ParameterError, match=r"walls\['right'\]\." + ".*(" + message + ")"):
         stream(walls={"right": nv.Open(**wall)})
 
@@ -173,7 +173,7 @@ GIVEN = {
 
 
 @pytest.mark.parametrize("given", GIVEN)
-def test_stresses_that_differ_are_warned_of_in_slow_straining_too(given, recwarn):
+def test_stresses_that_differ_are_warned_of_in_slow_straining(given, recwarn):
     """A strained bar moves through its windows.
 
     Where the bar meets entering matter at rest, the share of powers that is lost is half of the strain,

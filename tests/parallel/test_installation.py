@@ -41,7 +41,7 @@ def test_the_page_s_command_divides_a_run(tmp_path):
     assert "on 3 ranks, 2 of them with cells" in log and "finished" in log
 
 
-def test_what_is_missing_is_said(capsys, monkeypatch):
+def test_a_missing_package_is_named(capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "petsc4py", None)
     assert main(["info", "--parallel"]) == 1
     said = capsys.readouterr().out

@@ -211,7 +211,7 @@ def test_a_start_at_rest_is_that_of_one_process(names, ranks):
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_small_systems_may_be_over_ranks_too(monkeypatch):
+def test_small_systems_run_over_ranks(monkeypatch):
     """These are the systems of the flow, of diffusing fields and of the density, for which otherwise one
     rank has all rows."""
     name = "split, all regularisations"

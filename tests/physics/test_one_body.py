@@ -101,7 +101,7 @@ BY_DEFAULT = ("Perzyna, n = 2.5", "split"), ("Drucker-Prager", "coupled"), ("com
     ("name", "solver"),
     others_by_ci(product(RULES, ("split", "coupled")), *BY_DEFAULT),
 )
-def test_it_relaxes_alike(name, solver):
+def test_one_body_relaxes_like_a_material(name, solver):
     """A stretched body that cannot move has the same stress, plastic strain and heat after three steps."""
     material = nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0, elastic_state="B")
     rule = RULES[name]

@@ -145,6 +145,6 @@ def test_failures_say_what_is_wrong() -> None:
     assert response.failure is not None and "not finite at 1 points" in response.failure
 
 
-def test_it_has_no_expression() -> None:
+def test_an_approximation_has_no_expression() -> None:
     with pytest.raises(NgviscoError, match=r"has no expression: use ngvisco.physics.pointwise.respond"):
         nv.Yosida(material=NEO_HOOKEAN, eps=1.0).energy({})

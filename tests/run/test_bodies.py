@@ -282,7 +282,7 @@ def test_fields_of_bodies_diffuse_where_their_volumetric_energy_is_one():
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_a_ball_in_three_dimensions():
+def test_both_solvers_keep_the_masses_of_a_ball_in_three_dimensions():
     """Two steps on a few tetrahedra."""
     parts = [disc(where=nv.Ball((0.5, 0.5, 0.5), 0.35)), rest()]
     make = partial(swirling, box((1, 1, 1), maxh=0.8), bodies=parts)

@@ -55,7 +55,7 @@ def test_wrapped_materials_take_the_form_of_their_model():
     assert found.material.material.elastic_state == "B"
 
 
-def test_who_names_variables_of_one_form_asks_for_it():
+def test_names_of_variables_of_one_form_choose_this_form():
     """The names in ``only`` choose B without creep and F with creep; names of both forms are refused."""
     inner = nv.Yosida(material=TWO_FORMED["MooneyRivlin"](), eps=1e-3)
     for names, creep, state in (
@@ -227,7 +227,7 @@ def test_rest_energy_that_drift_frees_does_not_become_motion():
 @pytest.mark.long
 @pytest.mark.ci
 @pytest.mark.filterwarnings("ignore::ngvisco.run.ledger.DefectWarning")
-def test_who_asks_for_more_drift_gets_it():
+def test_a_run_ends_at_the_drift_that_is_given():
     """A body that is torn at a corner needs a larger drift; a run with a smaller limit ends earlier."""
     assert in_a_closed_box("F", speed=0.5, drift=0.3, halvings=0).run(0.8).rows[-1]["time"] == pytest.approx(
         0.8

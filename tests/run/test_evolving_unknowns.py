@@ -180,7 +180,7 @@ class Reading(Relaxation):
         return [Entry("power_old", "power", Integrand(square(u.context.old.zeta)))]
 
 
-def test_old_value_is_refused_in_entries_too():
+def test_an_old_value_is_refused_in_entries():
     with pytest.raises(ParameterError, match="Reading: it reads the old value of zeta"):
         simulation(Reading(), theta=None)
 
@@ -227,7 +227,7 @@ def test_a_share_of_the_energy_that_would_be_lost_is_refused(term, said):
 
 
 @pytest.mark.parametrize("size", [None, 2, 4])
-def test_it_is_a_field_of_the_run(size):
+def test_an_evolving_unknown_is_a_field_of_the_run(size):
     term = Relaxation()
     term.size = size
     run = simulation(term, theta=x if size is None else CF((x,) * size), solver="coupled")
@@ -237,7 +237,7 @@ def test_it_is_a_field_of_the_run(size):
         assert Integrate((part - x) ** 2, run.mesh) < 1e-24
 
 
-def test_its_name_is_that_of_no_other_field():
+def test_an_unknown_with_the_name_of_a_field_is_refused():
     for name in ("density", "F_tot"):
         term = Relaxation()
         term.unknowns = lambda setting, name=name: (Unknown(name, "cells", evolves=True),)

@@ -317,7 +317,7 @@ def test_what_is_flat_has_no_section(mesh, tmp_path):
 
 
 @pytest.mark.parametrize("content", [b"\xff\xfe\x00\x81", b"nothing", b'timestep="soon" file="a.vtu"'])
-def test_what_is_no_series_is_said(content, tmp_path):
+def test_a_damaged_series_is_refused_by_its_name(content, tmp_path):
     (tmp_path / "fields.pvd").write_bytes(content)
     with pytest.raises(nv.CheckpointError, match=r"fields\.pvd: not a "):
         read_pvd(tmp_path / "fields.pvd")

@@ -166,7 +166,7 @@ def test_curved_walls_turn_a_body_by_friction_alone():
             assert (torque < 1.0).all() and (torque > 0.7).all()
 
 
-def test_bodies_of_different_mass_balance_too():
+def test_momentum_of_bodies_of_different_mass_is_balanced():
     def body(name, density, **where):
         material = nv.ReferentialNeoHookean(K_e=10.0, G_e=2.0)
         return nv.Body(name=name, material=material, viscosity=STOKES, density=density, **where)

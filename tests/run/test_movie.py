@@ -92,7 +92,7 @@ def test_a_movie_has_a_frame_for_every_state(written, tmp_path):
     assert not list(tmp_path.glob("*.part*"))
 
 
-def test_an_mp4_is_written_where_ffmpeg_is_and_its_lack_is_said(written, tmp_path, monkeypatch):
+def test_an_mp4_is_written_with_ffmpeg_and_refused_without(written, tmp_path, monkeypatch):
     place, _ = written
     if shutil.which("ffmpeg"):
         write_movie(place, tmp_path / "movie.mp4", ["J"])

@@ -55,7 +55,7 @@ def largest(run, name, value):
 @pytest.mark.parametrize(
     ("solver", "scheme"), each_once(["split", "coupled"], ["midpoint", "backward-euler"])
 )
-def test_an_energy_with_a_domain_is_kept_within_it(solver, scheme):
+def test_states_stay_within_the_domain_of_the_energy(solver, scheme):
     """FENE-P chains are drawn close to their length, and no farther; the ledger closes."""
     creep = nv.Creep(G_m=10.0, law="conformation")
     run = sheared(nv.FENEP(K_e=10, G_e=5, b=5), 4.0, solver, creep=creep, scheme=scheme)
@@ -219,7 +219,7 @@ def test_a_number_that_an_observer_notes_is_one(what, monkeypatch):
         run.run(0.06)
 
 
-def test_a_step_that_costs_ten_times_the_median_is_said(monkeypatch):
+def test_a_step_that_costs_ten_times_the_median_is_reported(monkeypatch):
     lines, now = io.StringIO(), [0.0]
     monkeypatch.setattr(observers.clock, "perf_counter", lambda: now[0])
 

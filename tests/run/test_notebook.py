@@ -79,7 +79,7 @@ def test_outside_of_a_notebook_progress_is_silent():
 
 
 @pytest.mark.parametrize("module", ["IPython.display", "pandas"])
-def test_what_is_missing_is_said(module, monkeypatch):
+def test_a_missing_package_is_named_with_its_installation(module, monkeypatch):
     run = small()
     run.run(0.0)
     monkeypatch.setitem(sys.modules, module, None)

@@ -157,7 +157,7 @@ def test_stress_and_traction_are_those_of_a_known_pressure():
         assert found("e_stress_12") == pytest.approx(0, abs=1e-6 * K * s)
 
 
-def test_in_space_there_are_stress_traction_and_sharpness():
+def test_stress_traction_and_width_are_measured_in_three_dimensions():
     longitudinal, shear = moduli(SOLID, 3)
     K, s, volume = longitudinal - 4 / 3 * shear, 1e-4, 4 / 3 * math.pi * 0.35**3
     start = nv.Initial(F=(1 + s * (x - 0.5) / 3) * Id(3))

@@ -228,7 +228,7 @@ def test_auto_asks_the_other_solver_where_no_part_is_solved(halvings, monkeypatc
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-12
 
 
-def test_adaptive_steps_ask_the_other_solver_too(monkeypatch):
+def test_adaptive_steps_ask_the_other_solver(monkeypatch):
     fails_above(monkeypatch, 0.0)
     newton = nv.NewtonOptions(split=SplitOptions(chosen_from=(1, 1)))
     steps = nv.AdaptiveSteps(dt_min=DT / 2, dt_max=DT)

@@ -86,7 +86,7 @@ def test_products_of_tangent_and_adjoint_are_equal(scheme, solver):
 
 
 @pytest.mark.long
-def test_products_with_energies_at_points_are_equal_to_their_tolerance():
+def test_products_with_energies_at_points_are_equal_to_the_energies_tolerance():
     """The energies of bodies of different bulk moduli are found by a search at points, and are right to
     1e-8."""
     of = numbers(bodies())

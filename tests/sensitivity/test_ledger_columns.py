@@ -113,7 +113,7 @@ def test_values_are_those_of_the_run():
 
 
 @pytest.mark.parametrize("scheme", ["midpoint", by_ci("backward-euler")])
-def test_energies_without_an_expression_have_them_too(scheme):
+def test_columns_of_energies_without_an_expression_have_derivatives(scheme):
     """The dissipation and defects of such an energy have values at points, and its projection."""
     names = ("stored", "bregman", "impulse_walls_1", "angular_defect_facets", "angular_defect_cells")
     numbers, given = of(names), {"of": of(names), "by": ["material.G_e"]}

@@ -49,7 +49,7 @@ def test_swelling_is_the_same_by_both_solvers_in_eight_iterations_a_step():
 
 @pytest.mark.long
 @pytest.mark.parametrize("top", [nv.Open(), nv.Open(values={"c": 0.5})], ids=["open", "given value"])
-def test_it_is_the_same_where_matter_crosses_a_wall(top):
+def test_swelling_is_the_same_by_both_solvers_where_matter_crosses_a_wall(top):
     both({"through": FLUX, "walls": {"top": top}}, until=0.1)
 
 

@@ -120,7 +120,7 @@ def test_slow_convergence_is_not_taken_for_rounding():
 
 
 @pytest.mark.parametrize("contraction", [0.1, 0.3, 0.45])
-def test_it_ends_where_little_is_left_and_not_later(contraction):
+def test_an_iteration_ends_where_the_later_increments_are_within_the_margin(contraction):
     split, history = Increments(lambda number: 1e-9 * contraction**number), []
     assert iterate(split, Posed(), history) is Status.CONVERGED
     tolerance, margin = split.options.tolerance, split.options.split.margin

@@ -107,7 +107,7 @@ def test_what_the_limiter_takes_through_walls_is_its_own(scheme):
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_relaxed_steps_are_limited_too():
+def test_relaxed_steps_are_limited():
     steps = nv.AdaptiveSteps(dt_min=1e-3, dt_max=DT)
     ledger = cavity(scheme="midpoint", relaxation=True, adaptive=steps).run(LIMITED["midpoint"] * DT)
     assert ledger.column("limited_cells").max() > 0
