@@ -441,13 +441,13 @@ MUTANTS = [
             "gamma of SDIRK2",
             "    gamma = 1 - 1 / math.sqrt(2)",
             "    gamma = 1 - 1 / math.sqrt(3)",
-            "tests/timestepping/test_order.py::test_second_order_for_every_material",
+            "tests/timestepping/test_order.py::test_runs_are_of_second_order_for_every_material",
         ),
         (
             "midpoint",
             'TimeScheme("midpoint", ((0.5,),), (1.0,))',
             'TimeScheme("midpoint", ((0.6,),), (1.0,))',
-            "tests/timestepping/test_order.py::test_second_order_for_every_material",
+            "tests/timestepping/test_order.py::test_runs_are_of_second_order_for_every_material",
         ),
     ),
     *_of(
@@ -863,7 +863,7 @@ MUTANTS = [
             "degree of transport in cells",
             "return k - 1 + 2 * m if is_bilinear",
             "return k - 2 + 2 * m if is_bilinear",
-            "tests/solver/test_split_agrees.py::test_for_every_material_with_creep",
+            "tests/solver/test_split_agrees.py::test_both_solvers_agree_for_every_material_with_creep",
         ),
         (
             "degree of linear creep",
@@ -878,7 +878,7 @@ MUTANTS = [
             "order of a rule that is exact for polynomials",
             "(order := -(-degree // 2)) < whole",
             "(order := degree // 2) < whole",
-            "tests/solver/test_split_agrees.py::test_for_every_material_with_creep",
+            "tests/solver/test_split_agrees.py::test_both_solvers_agree_for_every_material_with_creep",
         ),
     ),
     *_of(

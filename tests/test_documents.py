@@ -34,7 +34,7 @@ def anchors(text):
 
 
 @pytest.mark.parametrize("path", MARKDOWN, ids=name)
-def test_tables_are_seen_as_such(path):
+def test_tables_have_equal_rows_and_a_blank_line_before(path):
     """A table has a blank line before it, and as many cells in every line as in its head."""
     text = re.sub(r"```.*?```", "", path.read_text(), flags=re.DOTALL)
     before, cells = "", 0

@@ -66,7 +66,7 @@ def test_exponents_are_fitted():
     assert "memory grows like cells^1.00" in text
 
 
-def test_answers_say_what_to_choose_and_how_that_is_to_an_older_table(tmp_path, monkeypatch, capsys):
+def test_answers_name_the_cheapest_run_and_compare_it_to_an_older_table(tmp_path, monkeypatch, capsys):
     """The table has runs of known error and cost; then the same runs are twice as fast."""
     speed = 1.0
 

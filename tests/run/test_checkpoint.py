@@ -114,7 +114,7 @@ def test_an_energy_is_known_by_its_values_not_by_its_name(tmp_path):
 @pytest.mark.long
 @pytest.mark.ci
 @pytest.mark.parametrize("solver", ["coupled", "split"])
-def test_bodies_with_heat_go_on_bitwise_and_are_known_by_it(tmp_path, solver):
+def test_bodies_with_heat_go_on_bitwise_and_their_heat_identifies_the_run(tmp_path, solver):
     """With two thermal pressures every evaluation searches anew for the equilibrium at a point."""
     SetNumThreads(1)
 

@@ -59,7 +59,7 @@ def test_runs_are_compared_in_one_picture_each(runs, tmp_path, drawn):
         assert fig.get_figwidth() == PAGE and min(text.get_fontsize() for text in texts) >= LABELS
 
 
-def test_probes_of_chosen_fields(runs, tmp_path, drawn):
+def test_a_comparison_has_the_chosen_fields_of_probes(runs, tmp_path, drawn):
     plot_comparison({name: runs / name for name in "ab"}, tmp_path, ["velocity_2"])
     assert [axis.get_title() for axis in drawn["comparison-probes"].axes][:1] == ["p.velocity 2, m/s"]
     with pytest.raises(

@@ -195,7 +195,7 @@ def test_a_row_that_is_no_number_is_not_taken(monkeypatch):
 
 
 @pytest.mark.parametrize("what", ["probe", "line", "force", "integral"])
-def test_a_number_that_an_observer_notes_is_one(what, monkeypatch):
+def test_an_observer_that_notes_no_number_ends_the_run(what, monkeypatch):
     seen = {
         "probe": nv.Probes([(0.5, 0.5)], ["density"]),
         "line": nv.LineSamples((0.1, 0.1), (0.9, 0.1), 3, ["density"]),

@@ -113,7 +113,7 @@ IN_SPACE = [
 @pytest.mark.parametrize(
     ("dim", "name"), [*others_by_ci(product([2], EXAMPLES), *product([2], OF_EACH_KIND)), *IN_SPACE]
 )
-def test_for_every_material_with_creep(name, dim):
+def test_both_solvers_agree_for_every_material_with_creep(name, dim):
     """In both runs the ledger closes, mass and positivity are kept, and Bregman's remainder is a loss."""
     mesh = box((1,) * dim, maxh=0.5 if dim == 2 else 1)
     for ledger in assert_both_agree(mesh, model(EXAMPLES[name], dim), steps=1):
@@ -121,7 +121,7 @@ def test_for_every_material_with_creep(name, dim):
 
 
 @pytest.mark.parametrize(("name", "law"), [("OldroydB", "conformation"), ("FENEP", "leonov")])
-def test_for_laws_of_creep(name, law):
+def test_both_solvers_agree_for_laws_of_creep(name, law):
     creep = nv.Creep(G_m=2.0, law=law)
     assert_both_agree(box((1, 1), maxh=0.5), model(EXAMPLES[name], creep=creep))
 
@@ -133,11 +133,11 @@ BY_B = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="B")
     "material",
     [by_ci(None, id="F"), by_ci(BY_B, id="B")],
 )
-def test_in_three_dimensions(material):
+def test_both_solvers_agree_in_three_dimensions(material):
     assert_both_agree(box((1, 1, 1), maxh=1), model(material, dim=3), steps=1)
 
 
-def test_by_left_cauchy_green_with_a_creep_rate_field():
+def test_both_solvers_agree_by_left_cauchy_green_with_a_creep_rate_field():
     assert_both_agree(box((1, 1), maxh=0.5), model(BY_B, creep=nv.Creep(G_m=2.0, nu=1e-3, q=4)))
 
 
@@ -150,7 +150,7 @@ REGULARISED = {
 
 
 @pytest.mark.parametrize("name", others_by_ci(REGULARISED, "delta of the fields"))
-def test_with_regularisations(name):
+def test_both_solvers_agree_with_regularisations(name):
     assert_both_agree(box((1, 1), maxh=0.5), model(regularisation=REGULARISED[name]))
 
 
@@ -172,14 +172,14 @@ STRIP = (
 
 
 @pytest.mark.parametrize("name", STRIP)
-def test_on_a_periodic_strip_that_is_one_cell_wide(name):
+def test_both_solvers_agree_on_a_periodic_strip_that_is_one_cell_wide(name):
     """A cell of the strip has one vertex twice, and meets one neighbour across two of its sides."""
     regularisation = REGULARISED.get(name)
     assert_on_strip((6, 1), model(regularisation=regularisation, **PARTS.get(name, {})))
 
 
 @pytest.mark.parametrize("cells", [(4, 1, 1), pytest.param((4, 2, 1), marks=pytest.mark.long)])
-def test_on_a_periodic_bar_that_is_one_cell_wide(cells):
+def test_both_solvers_agree_on_a_periodic_bar_that_is_one_cell_wide(cells):
     assert_on_strip(cells, model(dim=3, hyperviscosity=None, creep=None))
 
 
@@ -193,17 +193,17 @@ def assert_on_strip(cells, physics):
 
 
 @pytest.mark.parametrize("name", PARTS)
-def test_for_other_mechanisms(name):
+def test_both_solvers_agree_for_other_mechanisms(name):
     assert_both_agree(box((1, 1), maxh=0.5), model(**PARTS[name]))
 
 
 @pytest.mark.parametrize(("k", "m"), [(2, 0), by_ci(2, 2), (3, 1), by_ci(3, 2)])
-def test_for_other_orders(k, m):
+def test_both_solvers_agree_for_other_orders(k, m):
     assert_both_agree(box((1, 1), maxh=0.5), model(), discretisation=nv.Discretisation(k=k, m=m))
 
 
 @pytest.mark.parametrize("periodic", [by_ci("x"), "xy"])
-def test_on_periodic_cells(periodic):
+def test_both_solvers_agree_on_periodic_cells(periodic):
     assert_both_agree(
         box((1, 1), maxh=0.4, periodic=periodic),
         model(loads=[]),
@@ -227,11 +227,11 @@ WALLS = {
 
 
 @pytest.mark.parametrize("name", others_by_ci(WALLS, "traction and friction", "no slip"))
-def test_with_walls(name):
+def test_both_solvers_agree_with_walls(name):
     assert_both_agree(box((1, 1), maxh=0.5), model(), walls=WALLS[name], initial=nv.Initial())
 
 
-def test_on_a_curved_wall():
+def test_both_solvers_agree_on_a_curved_wall():
     rotation = nv.Initial(velocity=(-y, x))
     assert_both_agree(disc(1.0, maxh=0.7), model(), initial=rotation)
 
@@ -246,7 +246,7 @@ def test_on_a_curved_wall():
         "both",
     ],
 )
-def test_with_two_levels_and_unknowns_beside_the_velocity(beside):
+def test_both_solvers_agree_with_two_levels_and_unknowns_beside_the_velocity(beside):
     mesh = box((1, 1), maxh=0.3) if beside == "a creep rate field" else disc(1.0, maxh=0.5)
     parts = {} if beside == "the stress of a curved wall" else PARTS["a creep rate field"]
     # by default one of these steps is taken in halves: here Newton-Krylov takes over from farther away
@@ -263,7 +263,7 @@ def test_with_two_levels_and_unknowns_beside_the_velocity(beside):
         pytest.param(3, 1, "neo-hookean", marks=pytest.mark.long),
     ],
 )
-def test_with_sources(dim, m, kind):
+def test_both_solvers_agree_with_sources(dim, m, kind):
     """A manufactured problem has all terms; the split solver meets its exact solution like the coupled
     solver."""
     physics, tau = manufactured_model(kind, dim, 4.0, regularised=m > 0), 0.05

@@ -50,24 +50,24 @@ def assert_is_the_derivative(run, bound=1e-8):
 
 
 @pytest.mark.parametrize("name", [by_ci(n) if n in ("r = 3", "p = 2") else n for n in MECHANISMS])
-def test_of_every_mechanism(name):
+def test_derivatives_equal_differences_of_every_mechanism(name):
     # a power of 1/2 is far from what differences take for smooth where grad rho is small
     assert_is_the_derivative(simulation(**MECHANISMS[name]), bound=1e-6 if name == "r = 3" else 1e-8)
 
 
 @pytest.mark.parametrize("name", ALL_BY_CI)
-def test_of_every_material(name):
+def test_derivatives_equal_differences_of_every_material(name):
     assert_is_the_derivative(simulation(material=EXAMPLES[name]))
 
 
 @pytest.mark.parametrize("law", ["conformation", "leonov"])
-def test_of_laws_of_creep(law):
+def test_derivatives_equal_differences_of_laws_of_creep(law):
     creep = nv.Creep(G_m=2.0, law=law)
     assert_is_the_derivative(simulation(material=EXAMPLES["FENEP"], creep=creep))
 
 
 @pytest.mark.parametrize("kind", ["by its response", "by an expression"])
-def test_of_energies_without_arrays(kind, monkeypatch):
+def test_derivatives_equal_differences_of_energies_without_arrays(kind, monkeypatch):
     material = EXAMPLES["NeoHookean"]
     if kind == "by its response":
         material = nv.Yosida(material=material, eps=1e-3)
@@ -76,22 +76,22 @@ def test_of_energies_without_arrays(kind, monkeypatch):
     assert_is_the_derivative(simulation(material=material))
 
 
-def test_in_three_dimensions():
+def test_derivatives_equal_differences_in_three_dimensions():
     assert_is_the_derivative(simulation(box((1, 1, 1), maxh=1)), bound=1e-8)
 
 
 @pytest.mark.parametrize(("k", "m"), [(2, 0), (3, 1), (2, 2)])
-def test_of_other_orders(k, m):
+def test_derivatives_equal_differences_of_other_orders(k, m):
     assert_is_the_derivative(simulation(discretisation=nv.Discretisation(k=k, m=m)))
 
 
-def test_on_a_periodic_cell():
+def test_derivatives_equal_differences_on_a_periodic_cell():
     assert_is_the_derivative(simulation(box((1, 1), maxh=0.4, periodic="x")))
 
 
-def test_on_a_curved_wall():
+def test_derivatives_equal_differences_on_a_curved_wall():
     assert_is_the_derivative(simulation(disc(1.0, maxh=0.7)))
 
 
-def test_about_an_axis():
+def test_derivatives_equal_differences_about_an_axis():
     assert_is_the_derivative(simulation(symmetry="axisymmetric", hyperviscosity=None))

@@ -59,7 +59,7 @@ BY_MATERIAL = [
 
 
 @pytest.mark.parametrize(("scheme", "name"), BY_MATERIAL)
-def test_second_order_for_every_material(scheme, name):
+def test_runs_are_of_second_order_for_every_material(scheme, name):
     found = in_time(scheme, STIFFER.get(name, 0.02), material=EXAMPLES[name])
     assert min(found.values()) >= 1.9, found
 
@@ -87,7 +87,7 @@ CURVED = "traction on a curved slip wall"
         *(pytest.param(name, "sdirk2", marks=pytest.mark.long) for name in SETTINGS),
     ],
 )
-def test_second_order_with(name, scheme):
+def test_runs_are_of_second_order_with(name, scheme):
     curved = {"mesh": disc(1, 0.8), "solver": "split"} if name == CURVED else {}
     found = in_time(scheme, **SETTINGS[name], **curved)
     assert min(found.values()) >= 1.9, found
