@@ -75,8 +75,8 @@ class Rates:
         """Whether creep is integrated by the nodal rule, one point per field coefficient in a cell.
 
         The nodal rule is used if a local rule is nonlinear, or relaxes F or its cofactor: a field can follow
-        their rotation at no more points than it has coefficients. It is not used for rates that are not
-        affine in the variables, because constant tensors do not give the stress of such rates.
+        their rotation at no more points than it has coefficients. Rates that are not affine in the variables
+        have no nodal rule, because constant tensors do not give the stress of such rates.
         """
         turns = {variable.name for variable in self.material.variables if variable.kind == "full"}
         asked = any(f.rule.degree != 1 or turns.intersection(f.names) for f in self.mechanisms)

@@ -7,7 +7,7 @@ be a thrust on the body, of the size of the Bregman distance between both sides
 
     sum_K int_{dK} |v . n| (a - a_hat) t = 1/2 int |v . n| [a] [t]    over the facets between two cells.
 
-Both terms together are the flux of the upstream side's value.
+Upwinding and the term with the mean together are the flux of the upstream side's value.
 """
 
 from abc import abstractmethod

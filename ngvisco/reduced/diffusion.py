@@ -147,7 +147,7 @@ class FieldDiffusionRows:
         return self._delta * (self._of_strains(rows) + self._compliance @ apply(self._penalty, beyond))
 
     def _potential(self, c: Coefficients) -> np.ndarray:
-        """The diffusing potential zeta + P z; for parameters it is z."""
+        """The diffusing potential zeta + P z, which is z for parameters."""
         zeta = self._of_strains(c["zeta"])
         return zeta if self._of_itself is None else zeta + self._of_itself @ c["z"]
 

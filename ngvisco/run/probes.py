@@ -191,11 +191,10 @@ class WallForces(Series):
 class Integrals(Series):
     """Integrals over the domain, over time.
 
-    The parameters ``path`` and ``every`` are those of ``Series``.
-    The quadrature is that of the forms and the ledger: the integral of ``"density"`` is the ledger's mass.
-    In plane strain integrals are per metre of thickness.
-    A run raises ParameterError for an integral that is not finite at its start, and NotANumberError for one
-    that is not finite later.
+    The parameters ``path`` and ``every`` are those of ``Series``.  Integrals have the quadrature of the forms
+    and the ledger: the integral of ``"density"`` is the ledger's mass.  In plane strain integrals are per
+    metre of thickness.  A run raises ParameterError for an integral that is not finite at its start, and
+    NotANumberError for one that is not finite later.
 
     Parameters
     ----------

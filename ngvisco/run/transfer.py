@@ -2,9 +2,10 @@
 
 On another mesh, density, transported variables and further unknowns that evolve are projected in L2, and the
 velocity is projected on the new mesh's velocities that the walls allow.  The projection uses values at the
-new quadrature points; in a new cell that is a union of old cells it uses the old points, so that each
-integral is kept.  The density is then scaled by one factor, so that the mass is kept to rounding; with bodies
-each amount is scaled, and the density is the sum over bodies.  With other parameters the state is unchanged.
+new quadrature points; in a new cell that is a union of old cells the projection uses the old points, so that
+each integral is kept.  The density is then scaled by one factor, so that the mass is kept to rounding; with
+bodies each amount is scaled, and the density is the sum over bodies.  With other parameters the state is
+unchanged.
 
 The energy before less the energy after is the ledger's column ``transfer`` (J): in row 0 of a new ledger, or
 in the next row of a ledger that goes on, whose closure includes it.  The column is positive if energy was

@@ -123,7 +123,7 @@ class Newton:
     ``update`` recomputes the local unknowns of ``state`` from the other unknowns; ``update_stored`` is called
     before the form is evaluated at a state for which ``update`` was not called last.  Flow rules are
     linearised at ``stresses``, which are iterated together with the state.  ``has_energy`` says whether the
-    state has a stored energy: an iterate without energy is treated as one without a residual, because the
+    state has a stored energy.  An iterate without energy counts as an iterate without a residual, because the
     derivative of a logarithm is finite even where the logarithm is not defined.  ``growths`` counts changes
     of the equations that evaluations cause (``ngvisco.forms.upwinding.Largest``).
     """
