@@ -2,7 +2,7 @@
 
 The first rank has no cells.  Sums over cells are reduced among the other ranks, which send the result to the
 first rank and do not wait for it.  MPI's own waiting keeps a processor busy; with as many ranks with cells as
-processors this would slow one of them down.  So the first rank polls, and sleeps in between.
+processors this would slow one of them down.  Therefore the first rank polls, and sleeps in between.
 """
 
 from __future__ import annotations

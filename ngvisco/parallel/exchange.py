@@ -1,10 +1,10 @@
 """The one primitive of distributed vectors: unknowns that ranks share are summed over these ranks.
 
 ``ParallelDofs().Proc2Dof(r)`` lists the unknowns shared with rank r in equal order on both sides.  Each rank
-sends its values of the shared unknowns and adds the received values in the order of the ranks.  So all ranks
-that share an unknown have bit for bit equal sums.
+sends its values of the shared unknowns and adds the received values in the order of the ranks.  Therefore all
+ranks that share an unknown have bit for bit equal sums.
 
-A vector is *summed* if every rank that shares an unknown has its full value, as on one process.  It is
+A vector is *summed* if every rank that shares an unknown has its full value, as on one process.  A vector is
 *in parts* if the full value is the sum over these ranks, as for a residual assembled on each rank's cells.
 """
 
@@ -264,8 +264,8 @@ class Interpolation:
     are added in the order of the turns.
 
     A cell that meets its own periodic image has the unknown of a vertex twice: ``Set`` then adds its value
-    once, and counts it twice.  The unknowns of the function 1 are the shares that ``Set`` so keeps of values.
-    Edges and faces of one cell are never images of each other.
+    once, and counts it twice.  The unknowns that ``Set`` gives for the function 1 are the shares of values
+    that ``Set`` keeps in this way.  Edges and faces of one cell are never images of each other.
     """
 
     def __init__(self, space: FESpace) -> None:

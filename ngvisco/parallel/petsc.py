@@ -8,8 +8,9 @@ MUMPS over ranks adds contributions in the order in which messages arrive, so th
 differ in the last digits from one run to the next.  Up to some thousand unknowns, one rank therefore has all
 rows, and its solutions are reproducible to the bit.
 
-PETSc 3.18 keeps objects that petsc4py has dropped, also after ``garbage_cleanup``.  So this module destroys
-every object explicitly and collectively; callers ``release`` an inverse before they make another one.
+PETSc 3.18 keeps objects that petsc4py has dropped, also after ``garbage_cleanup``.  Therefore this module
+destroys every object explicitly and collectively; callers ``release`` an inverse before they make another
+one.
 """
 
 from __future__ import annotations

@@ -32,7 +32,8 @@ _REFUSED = {
     SIZE: "it has kinks where matter comes to rest",
     RELATIVE: "it compares with the largest values of all steps and directions",
 }
-"""Reasons why columns of the ledger have no derivative.  Other columns without one judge a step's length."""
+"""Reasons why columns of the ledger have no derivative.  Other columns without a derivative judge a step's
+length."""
 NORMS = ("J_defect", "defect_rms")
 """Columns of norms of defects; they have no derivative where they are zero."""
 
@@ -160,7 +161,7 @@ class Columns:
     def impulse(self, rows: np.ndarray, v: np.ndarray | None) -> np.ndarray:
         """Contributions to the columns by the walls' impulse over a step's length, ``rows`` of v, N.
 
-        With ``v``, the velocity of the last stage, they include the impulse's power.
+        With ``v``, the velocity of the last stage, the contributions include the impulse's power.
         """
         values, momentum = np.zeros(len(self.names)), self.simulation.ledger.momentum
         if any(name in self.names for name in momentum.held):

@@ -65,8 +65,8 @@ class Gradient:
     def density(self, of: str, name: str) -> GridFunction:
         """Derivative of a number by the start values of a scalar field, per volume at the start.
 
-        A small change d of the field's start values changes the number by the integral of this function
-        times d, with the start values of other fields fixed.  It requires a gradient by the adjoint.
+        A small change d of the field's start values changes the number by the integral of this function times
+        d, with the start values of other fields fixed.  The gradient has to be one by the adjoint.
 
         Parameters
         ----------

@@ -219,7 +219,7 @@ class Numbers:
     def weights(self, history: History, columns: Columns) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of the numbers by columns at the ends of steps, and by columns' means over stages.
 
-        Both are (numbers, steps + 1, columns).
+        Both arrays are (numbers, steps + 1, columns).
         """
         times, of_stages = history.times, columns.is_of_stages
         lengths = np.diff(times, prepend=times[0])[:, None]

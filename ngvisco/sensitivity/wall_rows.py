@@ -16,8 +16,8 @@ class WallRows:
 
     Arrays are (numbers, unknowns), for weights of the columns in numbers, (numbers, columns).  A force has
     constant c; the power of a moving wall has c = v on the wall.  At a stage the densities of impulses
-    contain the walls' multipliers. The equation of a combined end lacks them, so that all of its rows are
-    the walls' impulse.
+    contain the walls' multipliers. The equation of a combined end has no multipliers, so that all of its rows
+    are the walls' impulse.
     """
 
     def __init__(self, follower: Follower) -> None:

@@ -242,10 +242,11 @@ class Integrator:
     ) -> tuple[Evolved, int, dict[str, float]]:
         """Set the present state to the limited combination of states, at time ``t``.
 
-        Adds to the walls' power in ``rates``.  If ``is_stage``, the combination is the last stage and only
-        the limiter changes it; walls keep their velocity in the step.  Raises StepError if the state is not
-        admissible.  Returns the state, the number of limited cells, and two energies, J: the one lost by
-        limiting, -E'(U)[u - u_1], and minus the work of the impulse that limiting makes on walls' rows of v.
+        The power of the walls' impulse is added to the walls' power in ``rates``.  If ``is_stage``, the
+        combination is the last stage and only the limiter changes it; walls keep their velocity in the step.
+        Raises StepError if the state is not admissible.  Returns the state, the number of limited cells, and
+        two energies, J: the one lost by limiting, -E'(U)[u - u_1], and minus the work of the impulse that
+        limiting makes on walls' rows of v.
         """
         step, ranges = self.step, self.step.layout.ranges
         parts = list(zip(weights, states, strict=True))

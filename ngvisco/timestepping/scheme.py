@@ -16,9 +16,9 @@ E(a) - E(b) - E'(b)[a - b], is
 
     E_1 - E_0 + tau sum_i b_i (D_i - P_i) + R = 0,     R = sum_i sum_k c_ik B(y_k, U_i) - [B(u_1, U_s)].
 
-R contains no difference of energies, which would cancel digits.  Its last term is present if u_1 is not U_s.
-For the paper's scheme, a = b = 1, R is B(u_0, U) (Euler-ED-basic-energy-balance-disc, with the inequality's
-remainder).
+R contains no difference of energies, which would cancel digits.  The last term of R is present if u_1 is not
+U_s.  For the paper's scheme, a = b = 1, R is B(u_0, U) (Euler-ED-basic-energy-balance-disc, with the
+inequality's remainder).
 """
 
 import math
