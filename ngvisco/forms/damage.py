@@ -26,12 +26,19 @@ both >= 0, although phi is not jointly convex.
 For each step the ledger has the growth at a point and the new surface of cracks. A crack that runs within
 one step has the stress of the step's start, so that the breaking load depends on the step's length.
 
+Bodies that break have a damage each.  Their volumes are held while damages grow: phi is then quadratic in
+(d, q), and the equilibrium of pressure after the growth releases more energy, which ``bregman_damage``
+contains (``HeldVolumes``).
+
 With heat, the dissipation xi by the viscosity of damage raises the entropy of each cell by c_K xi tau/theta,
 where c_K makes the cell's energy rise by tau int_K xi, to rounding.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import reduce
+from operator import add
 from typing import Any, Protocol
 
 import numpy as np
@@ -56,13 +63,15 @@ from ngvisco.forms.energy import StoredEnergy
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.mesh_arrays import is_simplicial
 from ngvisco.forms.mesh.points import csr
-from ngvisco.forms.mesh.quadrature import Quadrature
+from ngvisco.forms.mesh.quadrature import Quadrature, values_of
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.term import PRODUCTION, Entry, Integrand
 from ngvisco.parallel.communicator import Communicator
+from ngvisco.physics.body_energies import InEquilibrium
 from ngvisco.physics.material import conjugates, part_of
 from ngvisco.physics.materials.damaged import DAMAGE, WHOLE_F, Damaged
 from ngvisco.physics.materials.thermal import Entropy, Thermal, entropy_in
+from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.model import Model
 from ngvisco.physics.parameters import substituted
 from ngvisco.words import Mention, Words
@@ -100,16 +109,21 @@ class Breaking(Protocol):
 
 
 class DamageGrowth:
-    """Growth of the damage of a step's present state.
+    """Growth of the damages of a step's present state, of a material or of each body that breaks.
 
     Raises ParameterError for fields that are not linear in a cell, cells that are not straight simplices,
     several processes, or a regularisation that diffuses the material's variables.
     """
 
-    def __init__(self, step: Breaking, law: Damaged) -> None:
-        self.step, self.law = step, law
-        self._check()
-        mesh, z = step.mesh, step.now.z_tensors
+    def __init__(self, step: Breaking) -> None:
+        self.step = step
+        material = step.model.material
+        law = part_of(material, Damaged)
+        laws = {"": law} if law is not None else {}
+        if isinstance(material, Mixture):
+            laws |= {name: broken.law for name, broken in material.damages.items()}
+        self._check(list(laws.values()))
+        mesh = step.mesh
         space: Any = H1(mesh, order=1)
         if step.layout.periodic:
             space = Periodic(space)
@@ -119,19 +133,22 @@ class DamageGrowth:
         self._delta.vec.FV().NumPy()[:] = np.arange(space.ndof)
         self._dofs = np.rint(self._at_vertices(self._delta)).astype(int)
         """Numbers of delta's unknowns at every vertex of every cell."""
-        self.damage = z[DAMAGE.name]
-        self._hessian, self._slope = self._forms(space)
         masses = LinearForm(space)
         masses += step.quadrature.cells(space.TestFunction())
         self._masses = masses.Assemble().vec.FV().NumPy().copy()
         self._part = GridFunction(step.layout.scalar_space("z"))
-        self._of_surface = law.surface_energy(z)
-        entropy = entropy_in(step.model.material)
+        self._held = HeldVolumes(step, material) if isinstance(material, Mixture) else None
+        self.fields = [self._field(name, law) for name, law in laws.items()]
+        """The growing damages."""
+        self.length = min(law.length for law in laws.values())
+        """The least width of a smeared crack, m."""
+        of_surface = reduce(add, (field.of_surface for field in self.fields))
+        entropy = entropy_in(material)
         self._heat = None if entropy is None else _DamageHeat(step, entropy)
         self.entries = [
             Entry(DISSIPATION, "dissipation", Integrand()),
             Entry(BREGMAN, "numerical", Integrand()),
-            Entry("stored_surface", "monitor", Integrand(law.surface_energy(z))),
+            Entry("stored_surface", "monitor", Integrand(of_surface)),
             Entry(GROWTH, "monitor", Integrand()),
             Entry(CRACKED, "monitor", Integrand()),
         ]
@@ -139,11 +156,11 @@ class DamageGrowth:
             self.entries.append(Entry(_POWER, "power", Integrand()))
             self.entries.append(Entry(_PRODUCTION, "production", Integrand()))
 
-    def _check(self) -> None:
-        step, law = self.step, self.law
+    def _check(self, laws: Sequence[Damaged]) -> None:
+        step = self.step
         ranks = Communicator.of(step.mesh)
         if ranks.size > 1:
-            raise ParameterError("Model.material", law, "a material without damage, or one process")
+            raise ParameterError("Model.material", laws[0], "a material without damage, or one process")
         if step.discretisation.m != 1:
             expected = "1 with damage: its bounds are those at the vertices of cells"
             raise ParameterError("Discretisation.m", step.discretisation.m, expected)
@@ -154,122 +171,193 @@ class DamageGrowth:
         if regularisation is not None and regularisation.delta_fields:
             expected = "0 with damage, which it would diffuse"
             raise ParameterError("Regularisation.delta_fields", regularisation.delta_fields, expected)
-        size = float(step.context.h.vec.FV().NumPy().min())
-        if law.length < size:
+        size, length = float(step.context.h.vec.FV().NumPy().min()), min(law.length for law in laws)
+        if length < size:
             message = Words(
                 Mention("Damaged.length"),
-                f" = {law.length:g} m is below the size of the smallest cell, {size:.3g} m: "
+                f" = {length:g} m is below the size of the smallest cell, {size:.3g} m: "
                 "what breaks is a row of cells and costs more than G_c; take cells of half of it or less",
             )
             ranks.warn(message, InputWarning, stacklevel=6)
 
-    def _forms(self, space: Any) -> tuple[BilinearForm, LinearForm]:
-        """Forms of the second derivative H, and of the slope at delta = 0."""
-        law, step = self.law, self.step
+    def _field(self, body: str, law: Damaged) -> _GrowingField:
+        """The damage of a body, or of the material ("")."""
+        step, space = self.step, self._delta.space
         z = step.now.z_tensors
+        if self._held is not None:
+            material = self._held.material
+            weight = material.fractions.backed(z, body)
+            broken = material.damages[body]
+            names, driving = (broken.damage.name, broken.slope.name), self._held.driving[body].components[0]
+            return _GrowingField(step, space, law, names, weight, driving)
         driving, _ = substituted(law, lambda expression: expression.at(z)).parts(z)
         thermal = part_of(step.model.material, Thermal)
         if thermal is not None and thermal.coupling:
             driving = driving + thermal.taken(z)[0]
-        (d, test), weight = space.TnT(), law.weight(z)
-        of_damage, of_slope = law.surface
-        is_quadratic = law.law == "AT2"
-        stiff = 1 - law.floor
-        q = z[law.slope.name][:, 0]
-        hessian, slope = BilinearForm(space, symmetric=True), LinearForm(space)
-        curvature = 2 * stiff * driving + (2 * of_damage if is_quadratic else 0.0) * weight
-        slopes = self._along(grad(d)) * self._along(grad(test))
-        hessian += step.quadrature.cells(curvature * d * test + 2 * of_slope * weight * slopes)
-        force = -2 * stiff * (1 - self.damage) * driving
-        force += of_damage * weight * (2 * self.damage if is_quadratic else 1.0)
-        carried = self._along(grad(test))
-        along = sum(q[i] * carried[i] for i in range(step.mesh.dim))
-        slope += step.quadrature.cells(force * test + 2 * of_slope * weight * along)
-        return hessian, slope
-
-    def _along(self, gradient: Any) -> Any:
-        """Carried slope of a gradient: the gradient, or F^T times the gradient."""
-        if self.law.area == "actual":
-            return gradient
-        dim = self.step.mesh.dim
-        return self.step.now.z_tensors[WHOLE_F.name][:dim, :dim].trans * gradient
+        return _GrowingField(step, space, law, (DAMAGE.name, law.slope.name), law.weight(z), driving)
 
     def _at_vertices(self, function: Any) -> np.ndarray:
         return np.asarray(function(self._vertices)).reshape(-1)
 
     def start(self) -> None:
-        """Make the present damage continuous, by the mean of each vertex' cells, and compute its slope."""
-        values, dofs = self._at_vertices(self.damage), self._dofs
-        size = len(self._masses)
-        sums, counts = np.bincount(dofs, values, size), np.bincount(dofs, minlength=size)
-        self._z()[self._rows] = 0.0
-        self._add(np.clip(sums / np.maximum(counts, 1), 0.0, 1.0))
+        """Make the present damages continuous, by the mean of each vertex' cells, and compute the slopes."""
+        for field in self.fields:
+            values, dofs = self._at_vertices(field.damage), self._dofs
+            size = len(self._masses)
+            sums, counts = np.bincount(dofs, values, size), np.bincount(dofs, minlength=size)
+            self._z()[field.rows] = 0.0
+            self._add(field, np.clip(sums / np.maximum(counts, 1), 0.0, 1.0))
 
     def __call__(self, tau: float) -> tuple[dict[str, float], dict[str, float]]:
-        """Let the damage grow over ``tau``, s; return dissipations, W, with ``GROWTH`` and ``CRACKED``, and
+        """Let the damages grow over ``tau``, s; return dissipations, W, with ``GROWTH`` and ``CRACKED``, and
         numerical dissipations, J, by columns.
 
         Raises StepError if there is no minimum, for an energy that is not convex in the damage.
         """
-        law, step = self.law, self.step
-        H, f = csr(self._hessian.Assemble().mat), self._slope.Assemble().vec.FV().NumPy().copy()
-        low, high = self._bounds()
+        if self._held is not None:
+            self._held.refresh()
+        rates, distance = {DISSIPATION: 0.0, GROWTH: 0.0, CRACKED: 0.0}, 0.0
+        dissipated = np.zeros(len(self._masses))
+        for field in self.fields:
+            of_field, of_distance, growth, cracked = self._grow(field, tau)
+            dissipated += of_field
+            distance += of_distance
+            rates[GROWTH] = max(rates[GROWTH], growth)
+            rates[CRACKED] += cracked
+        rates[DISSIPATION] = float(dissipated.sum()) / tau
+        if self._heat is not None:
+            self._delta.vec.FV().NumPy()[:] = dissipated / np.where(self._masses > 0, self._masses, 1.0)
+            rates |= self._heat(self._delta, tau)
+        if self._held is not None:
+            distance += self._held.released()
+        self.step.freeze()
+        return rates, {BREGMAN: distance}
+
+    def _grow(self, field: _GrowingField, tau: float) -> tuple[np.ndarray, float, float, float]:
+        """Let one damage grow; return the dissipated energy by vertices, J, and the numerical dissipation, J,
+        the largest growth at a point and the area of new cracks."""
+        law = field.law
+        H, f = csr(field.hessian.Assemble().mat), field.force.Assemble().vec.FV().NumPy().copy()
+        low, high = self._bounds(field)
         healing = law.viscosity if law.healing_viscosity is None else law.healing_viscosity
         rising, falling = (self._masses * viscosity / tau for viscosity in (law.viscosity, healing))
         try:
             minimum = minimise_in_box(H, f, (rising, falling), low, high)
         except StepError as error:
             raise StepError(f"damage: {error}; the material's energy is negative somewhere") from error
-        delta, before = minimum.x, self._surface()
-        self._add(delta)
+        delta, before = minimum.x, field.surface()
+        self._add(field, delta)
         dissipated = np.where(delta < 0, falling, rising) * delta * delta
-        rates = {DISSIPATION: float(dissipated.sum()) / tau}
-        rates |= {GROWTH: float(delta.max()), CRACKED: (self._surface() - before) / law.G_c}
-        if self._heat is not None:
-            self._delta.vec.FV().NumPy()[:] = dissipated / np.where(self._masses > 0, self._masses, 1.0)
-            rates |= self._heat(self._delta, tau)
-        step.freeze()
         distance = float(0.5 * delta @ (H @ delta) - minimum.slope @ delta)
-        return rates, {BREGMAN: distance}
+        return dissipated, distance, float(delta.max()), (field.surface() - before) / law.G_c
 
-    def _surface(self) -> float:
-        """Energy of cracks, J."""
-        return float(self.step.quadrature.integrate_cells(self._of_surface))
-
-    def _bounds(self) -> tuple[np.ndarray, np.ndarray]:
+    def _bounds(self, field: _GrowingField) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper bounds of delta at every vertex."""
-        values, dofs, size = self._at_vertices(self.damage), self._dofs, len(self._masses)
+        values, dofs, size = self._at_vertices(field.damage), self._dofs, len(self._masses)
         low, high = np.full(size, -np.inf), np.full(size, np.inf)
         np.minimum.at(high, dofs, 1 - values)
         np.maximum.at(low, dofs, -values)
         unused = ~np.isfinite(high)
         low[unused] = high[unused] = 0.0
-        if self.law.healing_viscosity is None:
+        if field.law.healing_viscosity is None:
             low[:] = 0.0
         return np.minimum(low, 0.0), np.maximum(high, 0.0)
-
-    @property
-    def _rows(self) -> list[int]:
-        """Numbers of the components of damage and its slope."""
-        slices = self.step.layout.states.slices
-        return [
-            slices[DAMAGE.name].start,
-            *range(slices[self.law.slope.name].start, slices[self.law.slope.name].stop),
-        ]
 
     def _z(self) -> np.ndarray:
         """View of the present coefficients of z, (components, functions)."""
         values = self.step.state.vec.FV().NumPy()[self.step.layout.ranges["z"]]
         return values.reshape(self.step.layout.states.size, -1)
 
-    def _add(self, delta: np.ndarray) -> None:
+    def _add(self, field: _GrowingField, delta: np.ndarray) -> None:
         """Add delta and its slope to the present damage."""
         self._delta.vec.FV().NumPy()[:] = delta
-        z, slope = self._z(), self._along(grad(self._delta))
+        z, slope = self._z(), field.along(grad(self._delta))
         values = (self._delta, *(slope[j] for j in range(self.step.mesh.dim)))
-        for row, value in zip(self._rows, values, strict=True):
+        for row, value in zip(field.rows, values, strict=True):
             self._part.Set(value)
             z[row] += self._part.vec.FV().NumPy()
+
+
+class _GrowingField:
+    """One damage and its slope, with the forms of the second derivative and of the slope at delta = 0."""
+
+    def __init__(
+        self,
+        step: Breaking,
+        space: Any,
+        law: Damaged,
+        names: tuple[str, str],
+        weight: Any,
+        driving: Any,
+    ) -> None:
+        """``names`` are those of damage and slope, ``weight`` the reference volume per actual volume, and
+        ``driving`` the energy that the damage degrades, Pa."""
+        self.step, self.law = step, law
+        z, slices = step.now.z_tensors, step.layout.states.slices
+        self.damage, q = z[names[0]], z[names[1]][:, 0]
+        where = slices[names[1]]
+        self.rows = [slices[names[0]].start, *range(where.start, where.stop)]
+        """Numbers of the components of damage and its slope."""
+        own = {**z, "A": weight, DAMAGE.name: self.damage, law.slope.name: z[names[1]]}
+        self.of_surface = law.surface_energy(own)
+        (d, test), (of_damage, of_slope) = space.TnT(), law.surface
+        is_quadratic, stiff = law.law == "AT2", 1 - law.floor
+        self.hessian, self.force = BilinearForm(space, symmetric=True), LinearForm(space)
+        curvature = 2 * stiff * driving + (2 * of_damage if is_quadratic else 0.0) * weight
+        slopes = self.along(grad(d)) * self.along(grad(test))
+        self.hessian += step.quadrature.cells(curvature * d * test + 2 * of_slope * weight * slopes)
+        force = -2 * stiff * (1 - self.damage) * driving
+        force += of_damage * weight * (2 * self.damage if is_quadratic else 1.0)
+        carried = self.along(grad(test))
+        along = sum(q[i] * carried[i] for i in range(step.mesh.dim))
+        self.force += step.quadrature.cells(force * test + 2 * of_slope * weight * along)
+
+    def along(self, gradient: Any) -> Any:
+        """Carried slope of a gradient: the gradient, or F^T times the gradient."""
+        if self.law.area == "actual":
+            return gradient
+        dim = self.step.mesh.dim
+        return self.step.now.z_tensors[WHOLE_F.name][:dim, :dim].trans * gradient
+
+    def surface(self) -> float:
+        """Energy of cracks, J."""
+        return float(self.step.quadrature.integrate_cells(self.of_surface))
+
+
+class HeldVolumes:
+    """The volumes of bodies, which are held while damages grow, and the energies that damages degrade.
+
+    The energy with held volumes is quadratic in the damages, and not less than that of the bodies in
+    equilibrium of pressure, to which it is equal before the growth.
+    """
+
+    def __init__(self, step: Breaking, material: Mixture) -> None:
+        response = material.response(step.mesh.dim)
+        assert isinstance(response, InEquilibrium)
+        self.step, self.material, self._response = step, material, response
+        self._at_points = step.quadrature.vectors(step.layout.states.size)
+        self.driving = {name: step.quadrature.vectors(1) for name in material.damages}
+        """The energy that each damage degrades, Pa, at the points of the rule of the forms."""
+        self._released = step.quadrature.vectors(1)
+        self._J = np.zeros((0, len(material.bodies)))
+
+    def _states(self) -> np.ndarray:
+        self._at_points.Interpolate(self.step.now.z)
+        return np.ascontiguousarray(values_of(self._at_points).T)
+
+    def refresh(self) -> None:
+        """Hold the volumes of the present state."""
+        states = self._states()
+        self._J = self._response.volumes_of(states)
+        for name, field in self.driving.items():
+            values_of(field)[0] = self._response.driving(name, states, self._J)
+
+    def released(self) -> float:
+        """The energy, J, by which the equilibrium of pressure is below the energy with held volumes."""
+        states = self._states()
+        energy = self._response.held_energy(states, self._J) - self._response(states).energy
+        values_of(self._released)[0] = energy
+        return float(self.step.quadrature.integrate_cells(self._released.components[0]))
 
 
 class _DamageHeat:

@@ -138,6 +138,9 @@ class PointwiseEnergy(StoredEnergy):
         self._quadrature, self._size = quadrature, material.states(self.dim).size
         self._values: dict[UnknownValues, _Values] = {}
         self.follow(now)
+        self._lagged = np.zeros((self._size, 1), dtype=bool)
+        for name in material.lagged:
+            self._lagged[material.states(self.dim).slices[name]] = True
         self._hessian = quadrature.vectors(self._size * self._size)
         self.projected = GridFunction(L2(quadrature.mesh, order=order))
         self._at_sides: _SideValues | None = None
@@ -203,29 +206,35 @@ class PointwiseEnergy(StoredEnergy):
     def _refreshed(self, u: UnknownValues) -> bool:
         """Update the energy on this rank; return whether the energy changed."""
         mine = self._values[u]
+        seen = self._seen(u, mine.state)
         mine.state.Interpolate(u.z)
         states = values_of(mine.state)
-        if mine.at is not None and np.array_equal(states, mine.at):
+        if mine.is_at(states, seen):
             return False
+        of_lagged = () if seen is None else (np.where(self._lagged, seen, states).T,)
         if u is self.fields:
-            response = self.response(states.T)
+            response = self.response(states.T, *of_lagged)
             self._own_failure = response.failure
             values_of(self._hessian)[:] = response.hessian.reshape(len(response.energy), self._size**2).T
             energy, slope = response.energy, response.slope.T
         else:  # the values at this state are mostly known
-            evaluated = (
-                v for v in self._values.values() if v.at is not None and np.array_equal(states, v.at)
-            )
-            met = next(evaluated, None)
+            met = next((v for v in self._values.values() if v.is_at(states, seen)), None)
             if met is None:
-                response = self.response(states.T)
+                response = self.response(states.T, *of_lagged)
                 energy, slope = response.energy, response.slope.T
             else:
                 energy, slope = values_of(met.energy)[0].copy(), values_of(met.slope).copy()
         values_of(mine.energy)[0] = energy
         values_of(mine.slope)[:] = slope
-        mine.at = states.copy()
+        mine.at, mine.seen = states.copy(), seen
         return True
+
+    def _seen(self, u: UnknownValues, at_points: GridFunction) -> np.ndarray | None:
+        """z at the points with the lagged variables of the step's start; None without such variables."""
+        if not self._lagged.any():
+            return None
+        at_points.Interpolate(u.context.lagged.z)
+        return values_of(at_points).copy()
 
     def require(self) -> None:
         self.refresh()
@@ -246,6 +255,14 @@ class _Values:
     state: GridFunction
     slope: GridFunction
     at: np.ndarray | None = None
+    seen: np.ndarray | None = None
+    """z of the step's start at the points, whose lagged variables the slope reads; None without these."""
+
+    def is_at(self, states: np.ndarray, seen: np.ndarray | None) -> bool:
+        """Whether the energy and the slope are those of these states."""
+        if self.at is None or not np.array_equal(states, self.at):
+            return False
+        return seen is None or (self.seen is not None and np.array_equal(seen, self.seen))
 
 
 class _SideValues:

@@ -93,8 +93,6 @@ from ngvisco.forms.terms.transport import (
 )
 from ngvisco.forms.unfelt import UNFELT, Unfelt
 from ngvisco.forms.upwinding import Largest, mean_share
-from ngvisco.physics.material import part_of
-from ngvisco.physics.materials.damaged import Damaged
 from ngvisco.physics.materials.thermal import entropy_in
 from ngvisco.physics.model import Model
 
@@ -312,8 +310,7 @@ class Step:
         self.local_unknowns = LocalUnknowns(
             self.layout, self.state, self.quadrature, self.point_terms, self.stresses
         )
-        law = part_of(model.material, Damaged)
-        self.damage = None if law is None else DamageGrowth(self, law)
+        self.damage = DamageGrowth(self) if model.breaks else None
         """The growth of damage after a step; None without damage."""
 
     @cached_property

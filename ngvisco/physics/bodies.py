@@ -30,9 +30,10 @@ over the cell, because the direction of a slope that is rounding has no meaning.
 TRACE = 1e-3
 """An absent body counts with this share of the amount of all matter, at rest."""
 
-HARDENING_TRACE = 0.1
-"""The share of all matter, N, that is added to the amount n_i of a body that hardens: K_i and n_i are
-independent polynomials, and their quotient K_i/n_i is no polynomial."""
+BACKING_TRACE = 0.1
+"""The share of all matter, N, that is added to the amount n_i of a body that hardens or breaks: K_i and n_i
+are independent polynomials, and their quotient K_i/n_i is no polynomial; and the energy of cracks, which is
+convex in the damage, must not have a weight below zero."""
 
 _HALF = 1 / 5
 """The volume fraction theta_i at which chi_i is 1/2."""
@@ -149,9 +150,10 @@ class Fractions:
         value = z[AMOUNT + body] / self.total(z)
         return 0.5 * (value + sqrt(value * value + 4 * TRACE**2))
 
-    def hardened(self, z: Values, body: str) -> Any:
-        """The divisor of K_i in the plastic strain of a body: its amount n_i with a trace of N."""
-        return (1 / (1 + HARDENING_TRACE)) * (z[AMOUNT + body] + HARDENING_TRACE * self.total(z))
+    def backed(self, z: Values, body: str) -> Any:
+        """The amount n_i of a body with a trace of N, > 0: the divisor of K_i in the body's plastic strain,
+        and the weight of its cracks' energy."""
+        return (1 / (1 + BACKING_TRACE)) * (z[AMOUNT + body] + BACKING_TRACE * self.total(z))
 
 
 @dataclass(frozen=True)

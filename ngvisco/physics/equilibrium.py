@@ -47,8 +47,9 @@ Energies = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, ...]]
 
 def equilibrium(
     energies: Energies, n: np.ndarray, total: np.ndarray, start: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """W, its slope and second derivative by n_i and, with heat, s; NaN at points without an equilibrium.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """W, its slope and second derivative by n_i and, with heat, s, and y; W is NaN at points without an
+    equilibrium.
 
     Newton's method finds y_i and m from ``start``, (points, bodies, size), at points where ``start`` is
     finite; n is (points, bodies), and ``total``, (points, size), is c.
@@ -86,7 +87,8 @@ def equilibrium(
         a = np.concatenate([-y, of_shared], axis=1)
         hessian = np.einsum("pki,pij,plj->pkl", a, np.where(good, _inverse(Q).T, np.nan).T, a)
         slopes = np.concatenate([psi - (m[:, None] * y).sum(axis=2), m[:, 1:]], axis=1)
-    return np.where(good, (n * psi).sum(axis=1), np.nan), np.where(good[:, None], slopes, np.nan), hessian
+    W = np.where(good, (n * psi).sum(axis=1), np.nan)
+    return W, np.where(good[:, None], slopes, np.nan), hessian, y
 
 
 def _compliance(y: np.ndarray, excess: np.ndarray, second: np.ndarray) -> np.ndarray:

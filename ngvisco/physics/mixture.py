@@ -13,6 +13,13 @@ convex: an absent body is a trace of matter at rest.  Hardening adds w phi_h(K/w
 delta), which is n phi_h(k) where the body fills the point.  Bodies with heat have one temperature and one
 entropy s, and V(n) becomes W(n, s).
 
+A body that breaks (``Damaged``) has its own damage d_i and slope q_i.  They degrade f_i and U_i alone.  The
+energy of its cracks has the weight w: where the body is absent, d_i changes no other energy.  phi is convex
+in the densities for given damages, but the minimum over alpha_i is not convex in d_i.  Therefore the
+conjugate of d_i has the volumes alpha_i of the damages at the step's start, which the conjugates of the
+densities have (``Material.lagged``), and d_i grows with held volumes.  For given volumes phi is convex in
+(d_i, q_i), and the minimum over the volumes is not larger: both Bregman distances are >= 0.
+
 Body i has the spin W, the strain rate chi_i D and the creep rate chi_i Pi_i.  The body's fraction determines
 chi_i from 0 to 1 (``taking_part``): where the fraction is <= 0, tensors of the body turn, but neither stretch
 nor bear stress.
@@ -20,19 +27,18 @@ nor bear stress.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial, reduce
 from operator import add
 from typing import Any
 
-import numpy as np
 from ngsolve import Det
 
 from ngvisco.errors import NgviscoError, ParameterError
 from ngvisco.physics.bodies import (
     AMOUNT,
-    HARDENING_TRACE,
+    BACKING_TRACE,
     TRACE,
     Amount,
     Body,
@@ -41,9 +47,12 @@ from ngvisco.physics.bodies import (
     Interface,
     Parting,
 )
-from ngvisco.physics.equilibrium import MixedHeat, equilibrium
+from ngvisco.physics.body_damage import BodyDamage
+from ngvisco.physics.body_energies import EnergyPart, InEquilibrium
+from ngvisco.physics.equilibrium import MixedHeat
 from ngvisco.physics.flow_rules.rule import PlasticContent
 from ngvisco.physics.material import ElasticState, Material
+from ngvisco.physics.materials.damaged import DAMAGE, Damaged
 from ngvisco.physics.materials.perspective import ReferenceEnergy
 from ngvisco.physics.materials.thermal import Entropy, Thermal
 from ngvisco.physics.parameters import (
@@ -53,8 +62,7 @@ from ngvisco.physics.parameters import (
     renamed,
     told_apart,
 )
-from ngvisco.physics.pointwise import respond
-from ngvisco.physics.response import Respond, Response
+from ngvisco.physics.response import Respond
 from ngvisco.physics.tensors import IDENTITY, Tensor, identity_like
 from ngvisco.physics.variables import PRESSURE, Jacobian, Values, Variable
 
@@ -129,8 +137,19 @@ class Mixture(Material):
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """Parameters of moduli, of the bodies' variables and of the model's other laws."""
-        parameters = (v for body in self.bodies for v in body.material.variables if isinstance(v, Parameter))
-        return distinct((*parameters_in(self.bodies), *self.carried, *parameters))
+        of_materials = (v for body in self.bodies for v in body.material.variables)
+        own = (v for v in of_materials if isinstance(v, Parameter) and v != DAMAGE)
+        damages = (broken.damage for broken in self.damages.values())
+        return distinct((*parameters_in(self.bodies), *self.carried, *own, *damages))
+
+    @cached_property
+    def damages(self) -> dict[str, BodyDamage]:
+        """The damages of the bodies that break, by the bodies' names."""
+        return {b.name: BodyDamage.of(b) for b in self.bodies if isinstance(b.material, Damaged)}
+
+    @property
+    def lagged(self) -> frozenset[str]:
+        return frozenset(v.name for b in self.damages.values() for v in (b.damage, b.slope))
 
     @property
     def fractions(self) -> Fractions:
@@ -176,7 +195,8 @@ class Mixture(Material):
         share = 1 / len(self.bodies)
         amounts = (Amount(AMOUNT + b.name, density=b.density or 0.0, share=share) for b in self.bodies)
         entropy = () if self.heat is None else (self.heat.entropy,)
-        return (*contents, *amounts, *self.plastic_contents.values(), *entropy, *self.parameters)
+        slopes = (broken.slope for broken in self.damages.values())
+        return (*contents, *amounts, *self.plastic_contents.values(), *entropy, *slopes, *self.parameters)
 
     def with_elastic_state(self, state: ElasticState) -> Mixture:
         bodies = (replace(body, material=body.material.with_elastic_state(state)) for body in self.bodies)
@@ -193,7 +213,7 @@ class Mixture(Material):
         first, *energies = self.energies.values()
         if not energies:
             return True
-        if any(psi.reads_parameters_in_volume for psi in self.energies.values()):
+        if self.damages or any(psi.reads_parameters_in_volume for psi in self.energies.values()):
             return False
         size = _SAME * abs(first.pressures).max()
         same = all(abs(psi.pressures - first.pressures).max() <= size for psi in energies)
@@ -208,7 +228,8 @@ class Mixture(Material):
 
     def positive(self, z: Values) -> dict[str, Values]:
         """Functions of a state that must be > 0: N; with different U_i sum n_i/U_i'', for a common pressure;
-        with heat sum n_i c_i; n_i plus half of its trace if an f_i is nonlinear or a body hardens."""
+        with heat sum n_i c_i; n_i plus half of its trace if an f_i is nonlinear or a body hardens or
+        breaks."""
         n, total = self.amounts(z), self.fractions.total(z)
 
         def above(share: float, sizes: Sequence[float]) -> Any:
@@ -222,8 +243,8 @@ class Mixture(Material):
         if self.heat is not None:
             bounds["the heat capacity of the bodies"] = above(0.1, [b.c for b in self.heat.parts.values()])
         nonlinear = not all(psi.is_linear for psi in self.energies.values())
-        if nonlinear or self.plastic_contents:
-            half = 0.5 * (TRACE if nonlinear else HARDENING_TRACE)
+        if nonlinear or self.plastic_contents or self.damages:
+            half = 0.5 * (TRACE if nonlinear else BACKING_TRACE)
             bounds |= {f"{AMOUNT}{name} + {half:g} N": value + half * total for name, value in n.items()}
         densities = [body.density or 0.0 for body in self.bodies]
         if max(densities) > 2 * min(densities):
@@ -264,7 +285,8 @@ class Mixture(Material):
         if len(self.bodies) == 1:
             return {}
         shares = self.fractions.taking_part(z)
-        return {X.name: share for name, share in shares.items() for X in self.contents(name)}
+        factors = {X.name: share for name, share in shares.items() for X in self.contents(name)}
+        return factors | {broken.slope.name: shares[name] for name, broken in self.damages.items()}
 
     @cached_property
     def parting(self) -> Parting | None:
@@ -294,12 +316,38 @@ class Mixture(Material):
         hardening = {K.name: z[K.name] / total for K in self.plastic_contents.values()}
         return {**z, **self.filled(self.fractions.at(z), IDENTITY), **hardening}
 
+    def own_names(self, body: str) -> dict[str, str]:
+        """Names of the carried variables by the names under which a body's energy reads them: its damage."""
+        return {DAMAGE.name: self.damages[body].damage.name} if body in self.damages else {}
+
+    def own(self, body: str, z: Values) -> dict[str, Any]:
+        """Values that contain those of a body's own variables under the names that its energy reads."""
+        return {**z, **{name: z[carried] for name, carried in self.own_names(body).items()}}
+
     def shears(self, z: Values) -> dict[str, Any]:
-        """The energies n_i f_i(X_i/n_i), plus n_i phi_h(K_i/n_i) with hardening, by the bodies' names, Pa."""
-        total, energies = self.fractions.total(z), {}
+        """The energies n_i f_i(X_i/n_i), plus n_i phi_h(K_i/n_i) with hardening and the energy of cracks, by
+        the bodies' names, Pa."""
+        energies = self.elastic_shears(z)
         parameters = {v.name: z[v.name] for v in self.parameters}
         for body in self.bodies:
+            further = []
+            for branch, rule in body.rules.items():
+                if rule.hardening is not None:
+                    content = z[self.plastic_contents[body.name, branch].name]
+                    weight = self.fractions.backed(z, body.name)
+                    further.append(rule.hardening.energy(weight, content, parameters))
+            if (broken := self.damages.get(body.name)) is not None:
+                further.append(broken.surface_energy(z, self.fractions.backed(z, body.name)))
+            if further:
+                energies[body.name] = reduce(add, further, energies.get(body.name, 0.0))
+        return energies
+
+    def elastic_shears(self, z: Values) -> dict[str, Any]:
+        """The energies n_i f_i(X_i/n_i) by the names of the bodies with tensors, Pa."""
+        total, energies = self.fractions.total(z), {}
+        for body in self.bodies:
             psi, n = self.energies[body.name], z[AMOUNT + body.name]
+            parameters = self.own(body.name, {v.name: z[v.name] for v in self.parameters})
             one = 1 + 0 * n
             X = {v.name: z[f"{v.name}_{body.name}"] for v in psi.tensors}
             if not X:
@@ -314,19 +362,25 @@ class Mixture(Material):
             X_rest = {name: size * tensor for name, tensor in unit.items()}
             shear = psi.energy({**parameters, **X, "J": one}) - psi.energy({**parameters, **X_rest, "J": one})
             energies[body.name] = weight * shear
-            for branch, rule in body.rules.items():
-                if rule.hardening is None:
-                    continue
-                content = z[self.plastic_contents[body.name, branch].name]
-                of_yield = rule.hardening.energy(self.fractions.hardened(z, body.name), content, parameters)
-                energies[body.name] = energies[body.name] + of_yield
         return energies
 
     def volumetric(self, body: str, z: Values) -> Any:
         """U_i(J), plus u_i(S, J) for a body with heat, Pa per reference volume; ``z`` has J, S and the
         parameters."""
-        energy = self.energies[body].volumetric(z)
+        energy = self.energies[body].volumetric(self.own(body, z))
         return energy if self.heat is None else energy + self.heat.energy(body, z["S"], z["J"])
+
+    def driving(self, body: str, z: Values, J: Any) -> Any:
+        """The energy of a body that its damage degrades, Pa; ``J`` is the body's volume."""
+        broken = self.damages[body]
+
+        def energy(damage: float) -> Any:
+            values = {**z, broken.damage.name: 0 * J + damage}
+            return self.elastic_shears(values).get(body, 0.0) + z[AMOUNT + body] * self.volumetric(
+                body, {**values, "J": J}
+            )
+
+        return (energy(0.0) - energy(1.0)) * (1 / (1 - broken.law.floor))
 
     def volumes(self, z: Values, J: Any) -> dict[str, Any]:
         """n_i (U_i + u_i) by the bodies' names, Pa, for bodies of one volume J and one temperature."""
@@ -344,86 +398,25 @@ class Mixture(Material):
         return reduce(add, (*volumes.values(), *self.shears(z).values()))
 
     def response(self, dim: int) -> Respond | None:
-        return None if self.has_one_volume else _InEquilibrium(self, dim)
-
-
-@dataclass(frozen=True)
-class _MixturePart(Material):
-    """A part of an energy as a material: the function ``of`` of the values of ``transported`` variables."""
-
-    of: Callable[[Values], Any]
-    transported: tuple[Variable, ...]
-    linear: tuple[str, ...] = ()
-
-    @property
-    def variables(self) -> tuple[Variable, ...]:
-        return self.transported
-
-    def energy(self, z: Values) -> Tensor:
-        return self.of(z)
-
-
-class _InEquilibrium:
-    """The response of bodies with different U_i: energy and derivatives for arrays of states."""
-
-    def __init__(self, mixture: Mixture, dim: int) -> None:
-        def shear(z: Values) -> Any:
-            return reduce(add, mixture.shears(z).values(), 0.0 * mixture.fractions.total(z))
-
-        self.heat, slices = mixture.heat, mixture.states(dim).slices
-        self.parameters = [slices[v.name].start for v in mixture.parameters]
-        self.amounts = {b.name: slices[AMOUNT + b.name].start for b in mixture.bodies}
-        self.shared = [] if self.heat is None else [slices[self.heat.entropy.name].start]
-        self.shears = respond(_MixturePart(shear, mixture.variables, mixture.linear_in_shears), dim)
-        of_volume = (Jacobian("J"), *(Entropy("S") for _ in self.shared), *mixture.parameters)
-        parts = (_MixturePart(partial(mixture.volumetric, name), of_volume) for name in self.amounts)
-        self.volumes = [respond(part, dim) for part in parts]
-
-    def __call__(self, states: np.ndarray) -> Response:
-        size = 1 + len(self.shared)
-
-        def energies(y: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, ...]:
-            parameters = states[np.ix_(points, self.parameters)]
-            responses = [
-                volume(np.column_stack([y[:, i], parameters])) for i, volume in enumerate(self.volumes)
-            ]
-            psi, slope = (
-                np.stack([getattr(f, name) for f in responses], axis=1) for name in ("energy", "slope")
-            )
-            return psi, slope[..., :size], np.stack([f.hessian[:, :size, :size] for f in responses], axis=1)
-
-        where = [*self.amounts.values(), *self.shared]
-        n = np.ascontiguousarray(states[:, where[: len(self.amounts)]])
-        total = np.column_stack([np.ones(len(n)), states[:, self.shared]])
-        value, slope, hessian = equilibrium(energies, n, total, self._start(n, total))
-        result = self.shears(states)
-        result.slope[:, where] += slope
-        result.hessian[np.ix_(range(len(n)), where, where)] += hessian
-        failure = self._failure(n[~np.isfinite(value)])
-        return Response(result.energy + value, result.slope, result.hessian, failure)
-
-    def _start(self, n: np.ndarray, total: np.ndarray) -> np.ndarray:
-        """J_i, and S_i with heat, for bodies of one volume and one temperature; NaN if there are none."""
-        with np.errstate(all="ignore"):
-            N = n.sum(axis=1)
-            J = np.where(N > 0, 1 / N, np.nan)
-            if self.heat is None:
-                return np.repeat(J[:, None, None], n.shape[1], axis=1)
-            amounts = dict(zip(self.amounts, n.T, strict=True))
-            J = np.where(self.heat.capacity(amounts) > 0, J, np.nan)
-            S = self.heat.entropies(amounts, total[:, 1], J)
-            return np.stack([np.stack([J, S[name]], axis=1) for name in amounts], axis=1)
-
-    def _failure(self, n: np.ndarray) -> str | None:
-        """The message about points without a common pressure, with the amounts ``n``; None for no points."""
-        if not len(n):
+        if self.has_one_volume:
             return None
-        common = "pressure" if self.heat is None else "pressure and temperature"
-        remedy = "a gas without p_infinity presses on what it meets, and matter in tension does not bear that"
-        if (n < 0).any():
-            remedy = "orders k = 1, m = 0 make few amounts negative if stiffnesses differ tenfold or more"
-        points = f"{len(n)} points, e.g. for the amounts {', '.join(f'{amount:.3g}' for amount in n[0])}"
-        return f"bodies have no common {common} at {points}; {remedy}"
+
+        def shear(z: Values) -> Any:
+            return reduce(add, self.shears(z).values(), 0.0 * self.fractions.total(z))
+
+        entropy = () if self.heat is None else (Entropy("S"),)
+        of_volume = (Jacobian("J"), *entropy, *self.parameters)
+        names = [body.name for body in self.bodies]
+        return InEquilibrium(
+            self.states(dim),
+            names,
+            EnergyPart(shear, self.variables, self.linear_in_shears),
+            [EnergyPart(partial(self.volumetric, name), of_volume) for name in names],
+            self.parameters,
+            self.heat,
+            self.damages,
+            self.driving,
+        )
 
 
 def _with_own_names(body: Body) -> Body:

@@ -16,7 +16,7 @@ from ngvisco.physics.flow_rules.rule import PLASTIC_CONTENT, Hardening, PlasticC
 from ngvisco.physics.heat import Heat, HeatLaw
 from ngvisco.physics.loads import Load, check_name
 from ngvisco.physics.material import ElasticState, Material, check_material, part_of
-from ngvisco.physics.materials.damaged import Damaged
+from ngvisco.physics.materials.damaged import Damaged, DamageVariable
 from ngvisco.physics.materials.network import Network
 from ngvisco.physics.materials.thermal import NO_TEMPERATURE, Thermal, entropy_in, warming
 from ngvisco.physics.materials.wrapped import carrying
@@ -63,7 +63,7 @@ class CreepMechanism:
         """The name of the field of the plastic strain k, and k at a point with the values ``z``."""
         content, amount = self.plastic_content, self.matter(z)
         if self.fractions is not None and self.body is not None:
-            amount = self.fractions.hardened(z, self.body)
+            amount = self.fractions.backed(z, self.body)
         return content.strain, z[content.name] / amount
 
     def matter(self, z: Values) -> Any:
@@ -224,6 +224,11 @@ class Model:
         )
 
     @property
+    def breaks(self) -> bool:
+        """Whether the material, or a body, has a damage that grows."""
+        return any(isinstance(v, DamageVariable) for v in self.material.variables)
+
+    @property
     def heat_law(self) -> HeatLaw:
         """The conduction and the heat sources of the model and its bodies."""
         parts: dict[str | None, Heat] = {None: self.heat or Heat()}
@@ -295,8 +300,8 @@ _NO_CREEP = Words(None, " with a Network, whose branches have theirs")
 def _faults(body: Body, bodies: Sequence[Body]) -> Iterable[tuple[str, str]]:
     """Yield the faults of a body beside the others, as pairs of the key and the value that would be right."""
     material, law, heat = body.material, body.creep, body.heat
-    if part_of(material, Damaged) is not None:
-        yield "material", "a material without damage: that of one body would be the damage of all"
+    if (broken := part_of(material, Damaged)) is not None:
+        yield from _faults_of_damage(material, broken, bodies)
     if law is not None and part_of(material, Network) is not None:
         yield "creep", _NO_CREEP
     lightest = min(bodies, key=lambda member: member.density or 0.0)
@@ -326,6 +331,21 @@ def _faults(body: Body, bodies: Sequence[Body]) -> Iterable[tuple[str, str]]:
             yield key, "nu = 0: the creep of several bodies is local"
         if rule.reads_conjugate or rule.has_trace:
             yield key, "a flow rule that reads no conformation tensor, which no body has"
+
+
+def _faults_of_damage(
+    material: Material, broken: Damaged, bodies: Sequence[Body]
+) -> Iterable[tuple[str, str]]:
+    """Yield the faults of a body with damage, as pairs of the key and the value that would be right."""
+    if broken is not material:
+        around = call("Damaged", material=...)
+        yield "material", Words(around, " itself: a material around it does not tell a body's damage")
+    if broken.area == "reference":
+        yield "material.area", "'actual': a body does not carry its distortion since the start"
+    if broken.breaking is not None:
+        yield "material.breaking", "None: in a body all branches break together"
+    if any(entropy_in(member.material) is not None for member in bodies):
+        yield "material", "a material without damage beside bodies with heat"
 
 
 def _require_bulk(material: Material) -> None:

@@ -24,5 +24,8 @@ class Response:
         return np.isfinite(self.energy) & np.isfinite(self.slope).all(axis=1) & matrices
 
 
-Respond: TypeAlias = Callable[[np.ndarray], Response]
-"""Function of states, (n, N), that gives their response."""
+Respond: TypeAlias = Callable[..., Response]
+"""Function of states, (n, N), that gives their response.
+
+For a material with lagged variables (``Material.lagged``) its second argument are the states with the values
+of these variables at the step's start, (n, N), which the slopes by all other variables read."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from ngvisco.forms.mesh.points import CellPoints
 from ngvisco.forms.system import Step
 from ngvisco.physics.arrays import slope_along
 from ngvisco.physics.pointwise import ArrayResponse, curved_components, slope_at
+from ngvisco.physics.response import Response
 from ngvisco.reduced.point_fields import TOGETHER, derivative_of, repeated_along
 
 
@@ -44,7 +46,9 @@ class PointwiseSlope:
         """Groups of components; one derivative gives the columns of phi'' of all components in a group."""
         self._together += [[int(m)] for m in np.intersect1d(self._shared, curved)]
         self._frozen: tuple[np.ndarray, np.ndarray] | None = None
+        self._kept: tuple[np.ndarray, np.ndarray, Response] | None = None
         self.response = step.tabulated_rates.response
+        self._has_own_response = material.response(step.mesh.dim) is not None
         self.arrays = self.response.slope if isinstance(self.response, ArrayResponse) else None
         """The slope as a function of arrays if the energy is an array law, else None."""
 
@@ -57,10 +61,17 @@ class PointwiseSlope:
         """phi'(z), (n, points), for z (n, points) at the points, real or with a tiny imaginary part."""
         if not self.lagged.any():
             return self._whole(z_values)
+        if self._has_own_response:
+            response = self._answer(np.ascontiguousarray(z_values.real))
+            slope = np.ascontiguousarray(response.slope.T)
+            is_real = not np.iscomplexobj(z_values)
+            return slope if is_real else slope + 1j * _applied(response, z_values.imag)
         return np.where(self.lagged, self._whole(z_values), self._whole(self._seen(z_values)))
 
     def derivative(self, z_values: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
         """The map dz -> phi''(z) dz at the points, both (n, points), for z (n, points)."""
+        if self.lagged.any() and self._has_own_response:
+            return partial(_applied, self._answer(z_values))
         derivative = self._whole_derivative(z_values)
         if not self.lagged.any():
             return derivative
@@ -74,6 +85,8 @@ class PointwiseSlope:
         branch.  Columns of components in which phi is linear follow from the other columns.
         """
         n = self.components
+        if self.lagged.any() and self._has_own_response:
+            return np.ascontiguousarray(self._answer(z_values).hessian.transpose(1, 2, 0))
         result = np.zeros((n, n, z_values.shape[1]))
         directions = np.zeros((n, len(self._together)))
         for k, columns in enumerate(self._together):
@@ -104,6 +117,15 @@ class PointwiseSlope:
             slopes = self.arrays(repeated_along(z_values, group))
             yield from derivative_of(slopes, len(group)).swapaxes(0, 1)
 
+    def _answer(self, z_values: np.ndarray) -> Response:
+        """The material's own response with lagged variables, kept for the same states."""
+        z, seen = z_values.T, self._seen(z_values).T
+        if self._kept is None or not (
+            np.array_equal(self._kept[0], z) and np.array_equal(self._kept[1], seen)
+        ):
+            self._kept = z.copy(), seen.copy(), self.response(z, seen)
+        return self._kept[2]
+
     def _seen(self, z_values: np.ndarray) -> np.ndarray:
         """z with the old values of lagged variables, for the conjugates of variables that do not lag."""
         lagged = self._step.lagged
@@ -125,5 +147,9 @@ class PointwiseSlope:
     def _whole_derivative(self, z_values: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
         if (arrays := self.arrays) is not None:
             return lambda dz: slope_along(arrays, z_values, dz)
-        hessian = self.response(z_values.T).hessian
-        return lambda dz: np.einsum("pnm,mp->np", hessian, dz)
+        return partial(_applied, self.response(z_values.T))
+
+
+def _applied(response: Response, dz: np.ndarray) -> np.ndarray:
+    """phi''(z) dz, (n, points), by a response at the points."""
+    return np.einsum("pnm,mp->np", response.hessian, dz)

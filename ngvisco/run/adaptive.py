@@ -30,7 +30,7 @@ def growth_message(step: Step, row: Mapping[str, float]) -> str:
     """Warning about the damage's growth in the step of a ledger's row; empty for little growth."""
     if step.damage is None or row[GROWTH] <= MUCH:
         return ""
-    length = step.damage.law.length
+    length = step.damage.length
     unit, symbol, size = ("m", "l", length) if step.mesh.dim == 2 else ("m^2", "l^2", length**2)
     return Words(
         f"in the step of {row['dt']:.3g} s to t = {row['time']:.4g} s the damage grew by {row[GROWTH]:.2g} "

@@ -141,7 +141,8 @@ def extreme_places(step: Step, sampler: Sampler) -> list[ExtremePlace]:
     places = []
     for number, body in enumerate(bodies):
         names = [p.name for p in parameters_in((body,))]
-        names += [v.name for v in body.material.variables if isinstance(v, Parameter)]
+        own = material.own_names(body.name)
+        names += [own.get(v.name, v.name) for v in body.material.variables if isinstance(v, Parameter)]
         among = np.flatnonzero(most == number)
         if not len(among):  # a body smaller than a cell has the largest amount nowhere
             among = amounts[:, [number]].argmax(axis=0)
@@ -152,6 +153,7 @@ def extreme_places(step: Step, sampler: Sampler) -> list[ExtremePlace]:
         for i, z in chosen(names, among, int(among[amounts[among, number].argmax()])).items():
             state = states[i] * alone * (total[i] / amounts[i, number])
             state[kept] = states[i, kept]
+            z |= {name: z[carried_name] for name, carried_name in own.items()}
             places.append(ExtremePlace(laws, z, (body.density or 0.0) * float(total[i]), state))
     return places
 

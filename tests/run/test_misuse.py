@@ -159,7 +159,8 @@ BREAKING(material=NEO()) | without stress at rest
 BREAKING(material=Yosida(material=ELASTIC, eps=0.01)) | not that of a Yosida approximation
 BREAKING(material=BROKEN) | a material without damage
 BREAKING(material=ReferentialNeoHookean(K_e=9.0, G_e=Parameter("damage") + 1)) | do not read the
-Model(bodies=[Body(name="a", material=BROKEN, density=1.0)]) | bodies\['a'\]\.material.*without damage
+Model(bodies=[Body(name="a", material=BREAKING(material=ELASTIC, area="reference"), density=1.0)])
+  | bodies\['a'\]\.material\.area.*'actual'
 Model(material=WithQuadratic(material=BROKEN, delta=0.1)) | Model\.material.*no other material knows of damage
 small_run(material=BROKEN, discretisation=Discretisation(m=2)) | Discretisation\.m = 2: expected 1 with damage
 small_run(disc(1.0, maxh=0.9), material=BROKEN) | Simulation\.mesh.*straight triangles

@@ -304,7 +304,25 @@ class Damaged(Wrapper):
         w = d * d if self.law == "AT2" else d
         return self.weight(z) * (of_damage * w + of_slope * square(q))
 
-    def energy(self, z: Values) -> Tensor:
+    def degraded_energy(self, z: Values) -> Tensor:
+        """The energy without that of cracks, per actual volume, Pa."""
         degraded, kept = self.parts(z)
-        phi = self.degradation(z[DAMAGE.name]) * degraded + self.surface_energy(z)
+        phi = self.degradation(z[DAMAGE.name]) * degraded
         return phi if kept is None else phi + kept
+
+    def energy(self, z: Values) -> Tensor:
+        return self.degraded_energy(z) + self.surface_energy(z)
+
+
+@dataclass(frozen=True, kw_only=True)
+class WithoutCracks(Material):
+    """A material that breaks, without the energy of its cracks and the gradient that this energy reads."""
+
+    material: Damaged
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        return tuple(v for v in self.material.variables if not isinstance(v, DamageSlope))
+
+    def energy(self, z: Values) -> Tensor:
+        return self.material.degraded_energy(z)

@@ -22,6 +22,7 @@ import numpy as np
 from ngvisco.errors import ParameterError, Quantity
 from ngvisco.physics.energy_checks import StateSampling, check_convexity
 from ngvisco.physics.material import ElasticState, Material, part_of
+from ngvisco.physics.materials.damaged import DAMAGE, Damaged, WithoutCracks
 from ngvisco.physics.materials.network import Network
 from ngvisco.physics.materials.thermal import Thermal
 from ngvisco.physics.parameters import (
@@ -167,7 +168,9 @@ class ReferenceEnergy(Material):
 
     @classmethod
     def of(cls, material: Material, owner: str) -> ReferenceEnergy:
-        """The energy of a body's material without its thermal part."""
+        """The energy of a body's material without its thermal part and without that of cracks."""
+        if isinstance(material, Damaged):
+            return cls(material=WithoutCracks(material=material), owner=owner)
         if not isinstance(material, Thermal):
             return cls(material=material, owner=owner)
         return cls(material=material.isothermal_material, owner=owner, is_gas=material.material is None)
@@ -254,9 +257,12 @@ class ReferenceEnergy(Material):
 
     @cached_property
     def reads_parameters_in_volume(self) -> bool:
-        """Whether U' depends on a parameter."""
+        """Whether U' depends on a parameter other than the damage."""
         hessian, _ = self._sampled
-        mixed = hessian[:, self.states(3).slices["J"].start] * ~self.states(3).strains
+        others = ~self.states(3).strains
+        if DAMAGE in self.variables:
+            others[self.states(3).slices[DAMAGE.name]] = False
+        mixed = hessian[:, self.states(3).slices["J"].start] * others
         return bool(abs(mixed).max(initial=0.0) > _ROUNDING * abs(hessian).max())
 
     def require(self) -> None:
