@@ -20,6 +20,9 @@ from ngvisco.forms.mesh.locating import nearest_wall
 from ngvisco.parallel.mesh import number_of
 from ngvisco.physics.defects import remedy
 from ngvisco.physics.flow_rules.laws import Creep
+from ngvisco.physics.material import part_of
+from ngvisco.physics.materials.thermal import Thermal
+from ngvisco.physics.model import Model
 from ngvisco.physics.variables import Distortion, LeftCauchyGreen
 from ngvisco.run.files import write_atomically
 from ngvisco.run.scales import diameter
@@ -140,17 +143,25 @@ def failure_report(simulation: RunState, error: StepError) -> FailureReport:
         place=place,
         wall=nearest_wall(simulation.mesh, np.array(place))[0],
         history=tuple(error.history),
-        advice=tuple([*_held(error.history), *_advice(simulation, violation, tau * rate, rate)]),
+        advice=tuple(
+            [*_held(simulation.model, error.history), *_advice(simulation, violation, tau * rate, rate)]
+        ),
         parted=simulation.bounds.parted,
         nearest=simulation.bounds.nearest(),
     )
 
 
-def _held(history: Sequence[Attempt]) -> list[str]:
+def _held(model: Model, history: Sequence[Attempt]) -> list[str]:
     """Advice if rounding of the stress moved the body in some attempt."""
     if not any(attempt.solution.status is Status.ROUNDING for attempt in history):
         return []
-    return ["springs, walls.NAME.stiffness, or a larger density: rounding moves what only inertia holds"]
+    lines = [
+        "springs, walls.NAME.stiffness, a larger density, or solver.tolerance = 1e-8: rounding moves what "
+        "only inertia holds, by more in shorter steps"
+    ]
+    if part_of(model.material, Thermal) is not None:
+        lines.append("thermal.theta_R, to the start's temperature: small entropies have little rounding")
+    return lines
 
 
 def _fastest(simulation: RunState) -> tuple[float, int | None, tuple[float, ...]]:

@@ -282,7 +282,7 @@ class FixedStepper:
         t, position = run.t, self._position(run.t)
         whole, done = divmod(position, self._parts)
         level = first = self._level if done else max(0, self._level - 1)
-        rejections, turned = 0, False
+        rejections, turned, attempts = 0, False, list[Attempt]()
         while True:
             size = self._parts >> level
             tau = self.dt * size / self._parts
@@ -292,12 +292,12 @@ class FixedStepper:
                 return Accepted(self._time(position + size), step, rejections)
             except StepError as failure:
                 reason, history = str(failure.__cause__ or failure), failure.history
+                attempts += history
                 if level == self.halvings:
                     try:
                         reason += f"; {_turn(run.solver, turned)}"
                     except StepError as refused:
-                        cause = failure.__cause__ or failure
-                        raise StepError(f"{failure}; {refused}", history) from cause
+                        raise StepError(f"{failure}; {refused}", attempts) from failure.__cause__ or failure
                     level, turned = first, True
                 else:
                     level += 1
@@ -360,8 +360,7 @@ class AdaptiveStepper:
             try:
                 step = integrator.advance(t, tau, run.number, meets=new_time == stop)
             except StepError as failure:
-                # the cause's message without the step
-                reason = str(failure.__cause__ or failure)
+                reason = str(failure.__cause__ or failure)  # without the step
                 history, shorter = failure.history, tau / 2
                 if shorter < self.options.dt_min:
                     try:
@@ -393,7 +392,8 @@ class AdaptiveStepper:
             if self.dt < self.options.dt_min:
                 tried = "; ".join(f"{r.tau:g} s: {r.reason}" for r in rejections)
                 shortest = f"dt_min = {self.options.dt_min:g} s from t = {t:g} s"
-                raise StepError(f"no step of at least {shortest} is accepted; tried {tried}", history)
+                attempts = [attempt for rejection in rejections for attempt in rejection.history]
+                raise StepError(f"no step of at least {shortest} is accepted; tried {tried}", attempts)
         if estimate is not None:
             estimate.keep(new_time)
         self._choose(tau, error, scheme.order, bool(rejections))

@@ -34,7 +34,8 @@ from ngvisco.solver.problem import BlockNorm, NewtonIteration, Problem, Solution
 NOISE_SAMPLES, NOISE_MARGIN, NOISE_CAP = 2, 10.0, 100.0
 """Number of perturbations of the state by which the noise is measured; margin; and cap, in tolerances. The
 noise is the largest change of the increment under these perturbations. A stalled increment is accepted if it
-is below both the margin times the noise and the cap; the margin is needed because increment and noise are
+is below the margin times the noise, and below the cap in the norm with the coarse floor, by which a velocity
+that comes to rest counts by the strain that it makes; the margin is needed because increment and noise are
 random."""
 NEAR = 10.0
 """A stalled increment below this number of tolerances is accepted without a measurement of the noise: the
@@ -280,12 +281,12 @@ class Newton:
 
     def _is_rounding(self) -> bool:
         """Whether the next increment is no larger than rounding errors."""
-        tolerance = self.options.tolerance
-        if self.norm(self._next, self.state, coarse=True) <= tolerance:
+        tolerance, coarse = self.options.tolerance, self.norm(self._next, self.state, coarse=True)
+        if coarse <= tolerance:
             return True
-        size = self.norm(self._next, self.state)
-        if not size <= NOISE_CAP * tolerance:
+        if not coarse <= NOISE_CAP * tolerance:
             return False
+        size = self.norm(self._next, self.state)
         return size <= NEAR * tolerance or size <= NOISE_MARGIN * self._noise()
 
     def _stalled(self) -> Status:
@@ -294,7 +295,8 @@ class Newton:
         size = self.norm(self._increment, self.state)
         if not size <= NOISE_MARGIN * self._noise():
             return Status.STALLED
-        return Status.CONVERGED if size <= NOISE_CAP * self.options.tolerance else Status.ROUNDING
+        coarse = self.norm(self._increment, self.state, coarse=True)
+        return Status.CONVERGED if coarse <= NOISE_CAP * self.options.tolerance else Status.ROUNDING
 
     def _noise(self) -> float:
         """The change of the present increment if every number of the state changes in its last place.

@@ -136,7 +136,8 @@ def unconverged(
     """The ``Solution`` of a failed attempt, whose increments stayed above ``tolerance``."""
     last = history[-1].increment if history else np.inf
     ended = f"{status.value}; {len(history)} iterations, last increment {last:.1e}, wanted {tolerance:.0e}"
-    return Solution(status, tuple(history), f"{solver} did not converge ({ended}): take {remedy}")
+    advice = "shorter steps have more of it" if status is Status.ROUNDING else f"take {remedy}"
+    return Solution(status, tuple(history), f"{solver} did not converge ({ended}): {advice}")
 
 
 @dataclass(frozen=True)

@@ -69,6 +69,44 @@ def test_rounding_moves_a_stiff_body_that_only_inertia_holds(stiffness):
     assert "change     springs, walls.NAME.stiffness" in str(caught.value.report)
 
 
+def relaxing(heat_capacity, theta_R=293.0):
+    """A strip with heat and hardly any inertia, sheared in the first step and then held."""
+    solid = nv.LinearElastic(K_e=10.0, G_e=1.0)
+    heated = nv.Thermal(material=solid, c=heat_capacity, theta_R=theta_R, expansion=1e-4)
+    return nv.Simulation(
+        structured_box((0.5, 1.0), (2, 2), periodic="x"),
+        nv.Model(material=heated, creep=nv.Creep(G_m=2.0)),
+        dt=0.01,
+        scheme="sdirk2",
+        initial=nv.Initial(density=1e-8, temperature=295.0),
+        walls={
+            "bottom": nv.NoSlip(),
+            "top": nv.PrescribedTangential((0.1 * nv.pulse(0.0, 0.01), 0.0)),
+        },
+        solver="coupled",
+    )
+
+
+def test_a_strip_with_heat_and_hardly_any_inertia_relaxes():
+    """The rounding of heat moves the strip by more than the tolerance, as the velocity goes to zero, but by
+    less than 1e-10 of a cell in a step."""
+    run = relaxing(1e3)
+    run.run(0.1)
+    exact = 0.1 * (1 - np.exp(-0.01)) * np.exp(-0.09)  # Pa, with the relaxation time G_m/(2 G_e) = 1 s
+    stress = run.fields["cauchy_stress"](run.mesh(0.1, 0.3))
+    assert stress[1] == pytest.approx(exact, rel=2e-3)
+    assert max(run.ledger.column("closure_relative")) < 1e-13
+
+
+def test_rounding_of_large_entropies_is_named_with_its_remedies():
+    """A large heat capacity leaves more rounding; with the reference at the start's temperature none."""
+    with pytest.raises(nv.StepError, match="shorter steps have more of it") as caught:
+        relaxing(1e7).run(0.1)
+    text = str(caught.value.report)
+    assert "solver.tolerance" in text and "or change  thermal.theta_R, to the start's temperature" in text
+    assert relaxing(1e7, theta_R=295.0).run(0.03).rows[-1]["time"] == pytest.approx(0.03)
+
+
 def test_attempts_from_one_start_are_one_line():
     """The report of a step that was tried in many parts fits one screen."""
     stalled = Solution(Status.STALLED, (NewtonIteration(3.0, 1.0, 1.0, True),) * 9, "as it was said")
