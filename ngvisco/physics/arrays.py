@@ -16,6 +16,7 @@ from typing import Any, Self, TypeAlias
 import numpy as np
 
 from ngvisco.physics.point_products import applied, contracted, cross, product, subscripts
+from ngvisco.physics.recording import called
 
 TINY = 1e-30
 """Size of the imaginary increment, as a multiple of the direction."""
@@ -85,12 +86,7 @@ class _Node:
         if len(shape) != (len(index) if isinstance(index, tuple) else 1):
             raise TypeError(f"no entry {index} of rank {self.rank}")
 
-        def placed(g: np.ndarray) -> np.ndarray:
-            result = np.zeros((*shape, g.shape[-1]), g.dtype)
-            result[index] = g
-            return result
-
-        return self._mapped((), lambda a: a[index], placed)
+        return self._mapped((), lambda a: a[index], lambda g: called(_placed, g, shape, index))
 
     def mapped(self, matrix: np.ndarray, shape: tuple[int, ...]) -> Self:
         """The tensor of ``shape`` whose entries, in row-major order, are ``matrix`` @ these entries."""
@@ -311,20 +307,23 @@ class ConstantInCells(Array):
 
     def __mul__(self, other: Any) -> Array:
         if isinstance(other, Array) and other.is_constant and other.rank == 1:
-            return Array(self._times(self._by_cells.transpose(2, 0, 1), other.value), None)
+            return Array(called(_times, self._by_cells.transpose(2, 0, 1), other.value, self._points), None)
         return super().__mul__(other)
 
     def transposed_times(self, vectors: np.ndarray) -> np.ndarray:
         """The transposed matrices times vectors, (n, points)."""
-        return self._times(self._by_cells.transpose(2, 1, 0), vectors)
+        product: np.ndarray = called(_times, self._by_cells.transpose(2, 1, 0), vectors, self._points)
+        return product
 
-    def _times(self, matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-        (cells, n, m), per = matrices.shape, self._points
-        if vectors.shape[1] != cells * per or np.iscomplexobj(vectors):
-            return np.einsum("pnm,mp->np", np.repeat(matrices, per, axis=0), vectors)
-        result = np.empty((n, cells, per))
-        np.matmul(matrices, vectors.reshape(m, cells, per).swapaxes(0, 1), out=result.swapaxes(0, 1))
-        return result.reshape(n, cells * per)
+
+def _times(matrices: np.ndarray, vectors: np.ndarray, per: int) -> np.ndarray:
+    """Products of the cells' matrices, (cells, n, m), with vectors at ``per`` points a cell, (m, points)."""
+    cells, n, m = matrices.shape
+    if vectors.shape[1] != cells * per or np.iscomplexobj(vectors):
+        return np.einsum("pnm,mp->np", np.repeat(matrices, per, axis=0), vectors)
+    result = np.empty((n, cells, per))
+    np.matmul(matrices, vectors.reshape(m, cells, per).swapaxes(0, 1), out=result.swapaxes(0, 1))
+    return result.reshape(n, cells * per)
 
 
 class Linear(_Node):
@@ -431,6 +430,13 @@ def _divisor(value: Any) -> Array:
     if not (divisor := _array(value)).is_scalar:
         raise TypeError("division by a tensor is not defined")
     return divisor
+
+
+def _placed(entry: np.ndarray, shape: tuple[int, ...], index: Any) -> np.ndarray:
+    """Tensors of ``shape`` with one ``entry``, and zeros elsewhere."""
+    result = np.zeros((*shape, entry.shape[-1]), entry.dtype)
+    result[index] = entry
+    return result
 
 
 def _transposed(a: np.ndarray) -> np.ndarray:

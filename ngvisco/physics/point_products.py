@@ -6,6 +6,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from ngvisco.physics.recording import called
+
 _PRODUCTS = {
     (0, 0): ("", "", ""),
     (0, 1): ("", "i", "i"),
@@ -35,6 +37,11 @@ def product(left: str, right: str, out: str, a: np.ndarray, b: np.ndarray) -> np
 
 def applied(matrix: np.ndarray, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     """A constant matrix times the entries of ``value``, row by row, as tensors of ``shape``."""
+    result: np.ndarray = called(_applied, matrix, value, shape)
+    return result
+
+
+def _applied(matrix: np.ndarray, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     # matrices that embed and select have few nonzero entries, and are real even if values are complex
     entries = value.reshape(matrix.shape[1], -1)
     result = np.zeros((matrix.shape[0], entries.shape[1]), value.dtype)

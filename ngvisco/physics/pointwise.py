@@ -229,29 +229,31 @@ def where_energy_is(energy: np.ndarray, slope: np.ndarray) -> np.ndarray:
 
     A logarithm's derivative is finite beyond its pole: NaN marks an iterate that has passed the pole.
     """
-    slope[:, ~np.isfinite(energy)] = np.nan
-    return slope
+    return np.where(np.isfinite(energy), slope, np.nan)
 
 
 def energy_and_slope(material: Material, dim: int) -> Both | None:
     """phi(z), (points,), and phi'(z), both by arrays; None if arrays cannot evaluate the energy."""
     states = material.states(dim)
+    spaces = states.spaces
+    places = dict(sorted(states.slices.items(), key=lambda entry: entry[1].start))
 
     def both(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        energy, slope = np.empty(z.shape[1], z.dtype), np.empty_like(z)
+        if not z.shape[1]:  # a rank may have no cells
+            return np.empty(0, z.dtype), np.empty_like(z)
         with np.errstate(all="ignore"):  # NaN outside the energy's domain
-            for start in range(0, z.shape[1], CHUNK):
-                some = slice(start, start + CHUNK)
-                energy[some] = put(z[:, some], slope[:, some])
-        return energy, slope
+            chunks = [of_chunk(z[:, start : start + CHUNK]) for start in range(0, z.shape[1], CHUNK)]
+        if len(chunks) == 1:
+            return chunks[0]
+        energies, slopes = zip(*chunks, strict=True)
+        return np.concatenate(energies), np.concatenate(slopes, axis=1)
 
-    def put(z: np.ndarray, result: np.ndarray) -> np.ndarray:
-        spaces, places = states.spaces, states.slices
+    def of_chunk(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         parts = {n: Array(z[where.start if spaces[n].is_scalar else where]) for n, where in places.items()}
         energy = material.energy({name: spaces[name].tensor(part) for name, part in parts.items()})
-        for where, slope in zip(places.values(), derivatives(energy, list(parts.values())), strict=True):
-            result[where] = slope
-        return energy.value
+        count, slopes = z.shape[1], derivatives(energy, list(parts.values()))
+        by_rows = [np.broadcast_to(slope, (*slope.shape[:-1], count)).reshape(-1, count) for slope in slopes]
+        return np.copy(np.broadcast_to(energy.value, (count,))), np.concatenate(by_rows)
 
     try:
         both(np.ones((states.size, 1)))  # the state may be outside of the energy's domain

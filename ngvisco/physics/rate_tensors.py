@@ -22,6 +22,7 @@ from ngsolve import CF
 from ngvisco.errors import ParameterError
 from ngvisco.physics.material import StateSpace
 from ngvisco.physics.pointwise import evaluated
+from ngvisco.physics.recording import called
 from ngvisco.physics.tensors import (
     IDENTITY,
     Tensor,
@@ -129,12 +130,20 @@ class RateTensors:
 
     def rate(self, z: np.ndarray, X: np.ndarray, first: int = 0) -> np.ndarray:
         """rate(z; X), (n, points), for X (X, points), whose first entry has the index ``first``."""
+        rates: np.ndarray = called(self._rate, z, X, first)
+        return rates
+
+    def _rate(self, z: np.ndarray, X: np.ndarray, first: int) -> np.ndarray:
         out = np.zeros((self.linear.shape[1], z.shape[1]), np.result_type(z, X))
         self._sum(z, first, first + len(X), lambda x, n: (out[n], X[x]))
         return out
 
     def stress(self, z: np.ndarray, zeta: np.ndarray, first: int, stop: int) -> np.ndarray:
         """d(zeta : rate)/dX for X = first ... stop - 1, (X, points)."""
+        slopes: np.ndarray = called(self._stress, z, zeta, first, stop)
+        return slopes
+
+    def _stress(self, z: np.ndarray, zeta: np.ndarray, first: int, stop: int) -> np.ndarray:
         out = np.zeros((stop - first, z.shape[1]), np.result_type(z, zeta))
         self._sum(z, first, stop, lambda x, n: (out[x], zeta[n]))
         return out

@@ -20,6 +20,7 @@ from ngvisco.forms.rates import TabulatedRates
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import PointRule, PointTerm
 from ngvisco.physics.arrays import Array, ConstantInCells, Linear, factors_of_tests
+from ngvisco.physics.recording import called
 from ngvisco.reduced.operators import Operators, PointOperators, SideOperators
 from ngvisco.reduced.point_fields import CELLS, FACETS, Lazy, derivative_of, incremented, lazy_fields
 from ngvisco.reduced.unknowns import derived_in_cells, in_cells
@@ -258,7 +259,7 @@ class _Terms:
             if unknown != name:
                 tested = [(D, values[..., j, :]) for j, D in enumerate(self.op.slopes(unknown))]
             for operator, part in tested:
-                load = operator.loads(self._full(part))
+                load = called(operator.loads, self._full(part))
                 rows[unknown] = rows[unknown] + load if unknown in rows else load
         return rows
 
@@ -334,7 +335,8 @@ class FacetTerms(_Terms):
         parts[name] = Array(np.zeros((*shape, 1)), None)
         factors = self.factors([term], u)
         del parts[name]  # the next access reads the coefficients, which exist by then
-        return self.op.of(name).loads(self._full(factors[name]))
+        loads: np.ndarray = called(self.op.of(name).loads, self._full(factors[name]))
+        return loads
 
 
 def _fields(
@@ -347,14 +349,14 @@ def _fields(
     """Unknowns at the points, see ``names_of``; values and gradients are computed at first access."""
 
     def value(name: str) -> Array:
-        return Array(op.of(name)(c[name]), None)
+        return Array(called(op.of(name), c[name]), None)
 
     def gradient(name: str) -> Array:
         slopes, of_name = op.slopes(name), c[name]
         if of_name.ndim == 2 and not np.iscomplexobj(of_name) and all(D.is_constant for D in slopes):
-            by_cells = np.stack([D.of_nodes(of_name)[..., 0] for D in slopes], axis=1)
+            by_cells = np.stack([called(D.of_nodes, of_name)[..., 0] for D in slopes], axis=1)
             return ConstantInCells(by_cells, op.z.per_cell)
-        return Array(np.stack([D(of_name) for D in slopes], axis=-2), None)
+        return Array(np.stack([called(D, of_name) for D in slopes], axis=-2), None)
 
     of_values, sloping = names
     return lazy_fields(Fields, op.layout, (value, of_values), (gradient, sloping), place, context)

@@ -20,25 +20,24 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import scipy.sparse as sp
-from ngsolve import BilinearForm, FESpace, Grad, GridFunction, ZeroCF
-from ngsolve.la import PARALLEL_STATUS
 
 from ngvisco.algebra.sparse import apply, inverse_of_blocks, mass_matrix
 from ngvisco.forms.driving_stress import LinearisedTabulatedRates
-from ngvisco.forms.fields import Fields, Tests
-from ngvisco.forms.mesh.mesh_arrays import mask_of
-from ngvisco.forms.mesh.points import csr
+from ngvisco.forms.fields import Fields
 from ngvisco.forms.system import Step
-from ngvisco.forms.term import CellMean, PointTerm, Term
+from ngvisco.forms.term import CellMean, PointTerm
 from ngvisco.forms.upwinding import mean_share
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.physics.arrays import TINY, Array
+from ngvisco.physics.recording import called
 from ngvisco.reduced.declared import Couplings
 from ngvisco.reduced.diffusion import FieldDiffusionRows
-from ngvisco.reduced.evaluation import CellTerms, Coefficients, FacetTerms, Rows
+from ngvisco.reduced.evaluation import CellTerms, Coefficients, FacetTerms
 from ngvisco.reduced.hyperviscosity import HyperValues, MatrixHyperviscosity
 from ngvisco.reduced.operators import FacetMass, Operators, SideOperators
-from ngvisco.reduced.point_fields import NotAtPointsError
+from ngvisco.reduced.point_fields import CELLS, FACETS, NotAtPointsError
+from ngvisco.reduced.programs import Programs
+from ngvisco.reduced.restricted_form import RestrictedForm
 from ngvisco.reduced.slope import PointwiseSlope
 from ngvisco.reduced.source import RightHandSide
 from ngvisco.reduced.unknowns import Unknowns
@@ -47,46 +46,9 @@ from ngvisco.threads import Workers
 TOGETHER = 24_000
 """Number of points in cells that one part evaluates together."""
 
-
-class RestrictedForm:
-    """Rows of some unknowns in the given terms, and the rows' derivatives by these unknowns, from the terms'
-    forms."""
-
-    def __init__(self, step: Step, names: Sequence[str], terms: Sequence[Term]) -> None:
-        layout, self.names, self.step = step.layout, list(names), step
-        self.space = FESpace([layout.blocks[name] for name in self.names])
-        trial, test = (dict(zip(self.names, parts, strict=True)) for parts in self.space.TnT())
-        components = dict(zip(layout.names, step.state.components, strict=True))
-        tests = {name: ZeroCF(tuple(components[name].dims)) for name in layout.names} | test
-
-        def gradient(name: str) -> Any:  # NGSolve has no gradient of a constant
-            value = tests[name]
-            return Grad(value) if name in self.names else ZeroCF((*value.dims, layout.mesh.dim))
-
-        u, w = Fields(layout, components | trial), Tests(layout, tests, gradient=gradient)
-        self.form = BilinearForm(self.space, check_unused=False)
-        for term in terms:
-            step.quadrature.add(self.form, term.form(u, w))
-        self.at = GridFunction(self.space)
-        self._rows = self.at.vec.CreateVector()
-        self.free = mask_of(self.space.FreeDofs())
-
-    def _load(self) -> None:
-        state, ranges = self.step.state.vec.FV().NumPy(), self.step.layout.ranges
-        self.at.vec.SetParallelStatus(PARALLEL_STATUS.CUMULATED)
-        self.at.vec.FV().NumPy()[:] = np.concatenate([state[ranges[name]] for name in self.names])
-
-    def residual(self) -> np.ndarray:
-        """The rows at the present state, block after block; each rank has the share of its cells."""
-        self._load()
-        self.form.Apply(self.at.vec, self._rows)
-        return self._rows.FV().NumPy().copy()
-
-    def jacobian(self) -> sp.csr_matrix:
-        """The derivative of the rows by the unknowns ``names``."""
-        self._load()
-        self.form.AssembleLinearization(self.at.vec)
-        return csr(self.form.mat)
+RECORDED = 8_000
+"""Largest number of points in cells for which programs evaluate the terms: on larger meshes the interpreter's
+calls cost little, and a program's constants would take memory."""
 
 
 @dataclass
@@ -141,15 +103,17 @@ class CellPart:
         volumes: np.ndarray = op.weights.reshape(op.z.cells, op.z.per_cell).sum(axis=1)
         return total / volumes
 
-    def loads(self, at: PartFields, hyper: HyperValues | None) -> tuple[Rows, Rows]:
-        """Loads of all terms that are evaluated at points: in the cells, and on their sides."""
-        residual, (inside, s, carried) = self.residual, at
-        if hyper is not None:
-            s.__dict__["jump"] = Array(hyper.jumps[:, self.sides.op.places], None)
+    def loads(self, c: Coefficients) -> dict[tuple[str, str], np.ndarray]:
+        """Loads of all terms that are evaluated at points, in the cells and on their sides, by the place and
+        the unknown; ``c["jump"]`` has the hyperviscosity's jumps at the points of all sides."""
+        residual, (inside, on_sides, carried) = self.residual, self.fields(c)
+        if "jump" in c:
+            on_sides.__dict__["jump"] = Array(c["jump"][:, self.sides.op.places], None)
         rows = self.inside.loads(residual.others, inside)
         for name, loads in self.carried.loads(residual.carried, carried).items():
             rows[name] = rows[name] + loads if name in rows else loads
-        return rows, self.sides.loads(residual.at_points, s)
+        both = {CELLS: rows, FACETS: self.sides.loads(residual.at_points, on_sides)}
+        return {(place, name): loads for place, rows in both.items() for name, loads in rows.items()}
 
 
 def parts_of(cells: int, points: int) -> list[slice]:
@@ -161,11 +125,6 @@ def parts_of(cells: int, points: int) -> list[slice]:
     count = max(count + count % 2, 1) if count > 1 else 1
     ends = np.linspace(0, cells, count + 1).astype(int).tolist()
     return [slice(*ends_of) for ends_of in itertools.pairwise(ends)]
-
-
-def _joined(loads: Sequence[Rows]) -> Rows:
-    """Loads of all cells, joined from the loads of the parts."""
-    return {name: np.concatenate([rows[name] for rows in loads], axis=-1) for name in loads[0]}
 
 
 class ReducedResidual:
@@ -227,6 +186,7 @@ class ReducedResidual:
         cells = step.mesh.ne
         ranges = parts_of(cells, self.op.points.per_cell) if self.slope.is_local else [slice(0, cells)]
         self.parts = [CellPart(self, cell_range) for cell_range in ranges]
+        self.programs = Programs()
 
     def _divide(self, step: Step) -> None:
         """Divide the terms at points into ``carried``, polynomials for which a rule of fewer points is exact,
@@ -257,8 +217,13 @@ class ReducedResidual:
         weights = sp.diags(op.weights * mean_share(op.inner))
         return of, (op.of(name).matrix.T @ weights @ op.of(of).matrix).tocsr()
 
-    def start(self) -> None:
-        """Evaluate the data that are constant during the step."""
+    def start(self, records: bool = False) -> None:
+        """Evaluate the data that are constant during the step.
+
+        With ``records`` the caller says that all data stay as they are until the next call: programs then
+        evaluate the terms (``Programs``)."""
+        count = self.op.points.count
+        self.programs.start(records and self.slope.is_local and len(self.parts) == 1 and count <= RECORDED)
         self.cell_terms.context.sampled.start()
         self.carried_terms.context.sampled.start()
         if self.collocated_terms is not None:
@@ -274,9 +239,12 @@ class ReducedResidual:
         the last linearisation stay.  NGSolve's forms read the state; for a complex x the linearisation of the
         forms about the state is used.
         """
-        c, hyper, at = self._derived(x)
-        inside, on_sides = zip(*self.share(lambda part: part.loads(at(part), hyper), self.parts), strict=True)
-        rows = [self.cell_terms.summed(_joined(inside)), self.facet_terms.summed(_joined(on_sides))]
+        c, hyper = self._derived(x)
+        loads = self.programs("loads", self._loads, c if hyper is None else c | {"jump": hyper.jumps})
+        by_place = {
+            name: {u: values for (at, u), values in loads.items() if at == name} for name in (CELLS, FACETS)
+        }
+        rows = [self.cell_terms.summed(by_place[CELLS]), self.facet_terms.summed(by_place[FACETS])]
         if self.collocated_terms is not None:
             n = self._at_collocation_points(self.collocated_terms, c, not np.iscomplexobj(x))
             if anew:
@@ -343,7 +311,7 @@ class ReducedResidual:
 
     def put(self, x: np.ndarray) -> None:
         """Make a real ``x``, and the unknowns derived from it, the step's state."""
-        c, *_ = self._derived(x)
+        c, _ = self._derived(x)
         if self.collocated_terms is not None:
             self._at_collocation_points(self.collocated_terms, c, True)
 
@@ -358,47 +326,65 @@ class ReducedResidual:
     def _fields_at(self, c: Coefficients) -> Callable[[CellPart], PartFields]:
         """A function that returns the fields of a part with the coefficients ``c``.
 
-        The fields are evaluated once for all equations if the mesh is one part, else anew for each equation:
-        values at the points of several parts would not fit the cache.
+        The fields are evaluated once for several equations if the mesh is one part, else anew for each
+        equation: values at the points of several parts would not fit the cache.
         """
         if len(self.parts) > 1:
             return lambda part: part.fields(c)
         fields = self.parts[0].fields(c)
         return lambda _: fields
 
-    def _derived(
-        self, x: np.ndarray
-    ) -> tuple[dict[str, np.ndarray], HyperValues | None, Callable[[CellPart], PartFields]]:
-        """Coefficients of all unknowns at x, the hyperviscosity's values, and the parts' fields; a real x is
-        put into the state."""
-        hyper, c = None, self.unknowns.coefficients(x)
-        at = self._fields_at(c)
+    def _loads(self, c: Coefficients) -> dict[tuple[str, str], np.ndarray]:
+        """Loads of all terms in all cells, see ``CellPart.loads``."""
+        parts = self.share(lambda part: part.loads(c), self.parts)
+        if len(parts) == 1:
+            return parts[0]
+        return {name: np.concatenate([of[name] for of in parts], axis=-1) for name in parts[0]}
 
-        def joined(loads: Callable[..., np.ndarray], *of: Any) -> np.ndarray:
-            return np.concatenate(self.share(lambda part: loads(part, at(part), *of), self.parts), axis=-1)
-
-        slopes = joined(lambda part, u: part.inside.op.z.loads(self.slope(u[0].z.value)))
-        c["zeta"] = apply(self.inverse_mass, slopes)
-        for term, name in self.means_of_sides:
-            mass = self.mass_of(name)
-            if (means := self._fixed_means.get(name)) is not None:
-                of, matrix = means
-                c[name] = mass.solve(mass.exchange.sum(apply(matrix, c[of])))
-                continue
-            loads = joined(lambda part, u, *of: part.sides.loads_of(*of, u[1]), term, name)
-            c[name] = -mass.solve(mass.exchange.sum(self.side_op.of(name).summed(loads)))
-            if term.stays:
-                c[name] = self.step.local_unknowns.largest(name, c[name].real)
-        for mean in self.couplings.of_kernel["cell means"]:
-            c[mean.name] = joined(CellPart.mean, mean)
-        if self.diffusion is not None:
-            c |= self.diffusion.slopes(self.op.z(c["z"]), c)
+    def _derived(self, x: np.ndarray) -> tuple[dict[str, np.ndarray], HyperValues | None]:
+        """Coefficients of all unknowns at x, and the hyperviscosity's values; a real x is put into the
+        state."""
+        c, hyper = self.unknowns.coefficients(x), None
+        if self.diffusion is None:
+            c |= self.programs("derived", self._derived_unknowns, c)
+        else:
+            c |= self._derived_unknowns(c)
         if self.hyper is not None:
             hyper = self.hyper(c["v"], c["a"], c["z"])
             c |= hyper.local
         if not np.iscomplexobj(x):
             self.unknowns.unpack(x, c)
-        return c, hyper, at
+        return c, hyper
+
+    def _derived_unknowns(self, of: Coefficients) -> dict[str, np.ndarray]:
+        """Conjugates, traces and means from the coefficients of the iterated unknowns."""
+        c = dict(of)
+        at = self._fields_at(c)
+
+        def joined(loads: Callable[..., np.ndarray], *of: Any) -> np.ndarray:
+            parts = self.share(lambda part: loads(part, at(part), *of), self.parts)
+            return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
+
+        def slope(part: CellPart, u: PartFields) -> np.ndarray:
+            loads: np.ndarray = called(part.inside.op.z.loads, self.slope(u[0].z.value))
+            return loads
+
+        c["zeta"] = called(apply, self.inverse_mass, joined(slope))
+        for term, name in self.means_of_sides:
+            mass = self.mass_of(name)
+            if (means := self._fixed_means.get(name)) is not None:
+                loads = called(apply, means[1], c[means[0]])
+            else:
+                of_sides = joined(lambda part, u, *of: part.sides.loads_of(*of, u[1]), term, name)
+                loads = -called(self.side_op.of(name).summed, of_sides)
+            c[name] = called(mass.solve, called(mass.exchange.sum, loads))
+            if term.stays:
+                c[name] = called(self.step.local_unknowns.largest, name, c[name].real)
+        for mean in self.couplings.of_kernel["cell means"]:
+            c[mean.name] = joined(CellPart.mean, mean)
+        if self.diffusion is not None:
+            c |= self.diffusion.slopes(self.op.z(c["z"]), c)
+        return {name: values for name, values in c.items() if name not in of}
 
     def derivative(self, at: Evaluation) -> Callable[[np.ndarray], np.ndarray]:
         """The map from packed directions d to the rows dR d at an evaluation, whose x has to be the step's

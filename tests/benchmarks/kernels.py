@@ -17,7 +17,8 @@ from ngvisco.geometries import box
 from ngvisco.physics.arrays import TINY
 from ngvisco.reduced.facet_tangent import FacetTangent
 from ngvisco.reduced.point_fields import moved
-from ngvisco.reduced.residual import Evaluation, ReducedResidual, RestrictedForm
+from ngvisco.reduced.residual import Evaluation, ReducedResidual
+from ngvisco.reduced.restricted_form import RestrictedForm
 
 MESHES = ((2, 0.12), (3, 0.4))
 """Dimension and size of cells of each row."""

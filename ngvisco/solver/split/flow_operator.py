@@ -21,7 +21,8 @@ import scipy.sparse as sp
 from ngvisco.algebra import precision
 from ngvisco.algebra.sparse import ElementAssembly, beside, stacked
 from ngvisco.reduced.evaluation import CellTerms
-from ngvisco.reduced.residual import CellPart, Evaluation, ReducedResidual, RestrictedForm
+from ngvisco.reduced.residual import CellPart, Evaluation, ReducedResidual
+from ngvisco.reduced.restricted_form import RestrictedForm
 from ngvisco.solver.split.hyperviscosity import HyperDerivative, HyperTangent
 from ngvisco.solver.split.point_tangent import PointTangent, PointValues, at_points, radius_of
 from ngvisco.solver.split.transport import TransportSweeps

@@ -121,7 +121,7 @@ class Split:
             return Solution(Status.NOT_FINITE, (), "the split solver's start value is not finite")
         try:
             with on_arrays(), np.errstate(all="ignore"):  # a diverging iterate is inf or NaN
-                self.residual.start()
+                self.residual.start(records=True)
                 status = (damped if self.damps else iterate)(self, problem, history)
         except StepError as error:  # a factorisation failed
             return Solution(Status.SINGULAR, tuple(history), str(error))

@@ -1,0 +1,231 @@
+"""Programs of array operations, recorded from one evaluation of a function and run for other arguments.
+
+A function is called once with ``Recorded`` arrays, which note each operation of NumPy on them.  A program
+repeats these operations without the function's own code, which takes longer than the arithmetic if arrays
+are small.  Operations on constants alone are not noted, since their results are stored; equal operations are
+noted once, and operations that no result needs are left out.  The results are the same to the bit.
+
+What a function does must not depend on values: a decision by a value, and code other than NumPy's, raises
+TypeError.  Such code has to be ``called``, if it is a function of arrays that leaves its
+arguments as they are.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Mapping
+from functools import lru_cache, partial
+from typing import Any, Self
+
+import numpy as np
+
+Arrays = Mapping[Any, np.ndarray]
+"""Arrays by name."""
+
+
+def called(function: Callable[..., Any], *arguments: Any) -> Any:
+    """``function`` of the arguments; if one of these is recorded, the call is noted as one operation.
+
+    The function must not change its arguments.
+    """
+    for argument in arguments:
+        if isinstance(argument, Recorded):
+            return argument.program.note(function, arguments)
+    return function(*arguments)
+
+
+class Program:
+    """The operations that a function of named arrays performs.  ``of`` makes a program."""
+
+    def __init__(self) -> None:
+        self._values: list[Any] = []
+        self._steps: list[tuple[Callable[..., Any], tuple[int, ...], int]] = []
+        self._known: dict[Any, Recorded] = {}
+        self._places = self._results = dict[Any, int]()
+        self._freed, self._left = list[list[int]](), list[int]()
+
+    @classmethod
+    def of(cls, function: Callable[[dict[Any, Any]], Arrays], arguments: Arrays) -> tuple[Self, Arrays]:
+        """Record ``function`` at ``arguments``; return the program and the results.
+
+        Raises TypeError, or what the function raises for arrays of another class.
+        """
+        program = cls()
+        program._places = {name: program._put(value) for name, value in arguments.items()}
+        found = function({name: Recorded(program, place) for name, place in program._places.items()})
+        results = {
+            name: value.place if isinstance(value, Recorded) else program._put(value)
+            for name, value in found.items()
+        }
+        program._results = results
+        made = {name: program._values[place] for name, place in results.items()}
+        program._finish()
+        return program, made
+
+    def _put(self, value: Any) -> int:
+        self._values.append(value)
+        return len(self._values) - 1
+
+    def value(self, place: int) -> Any:
+        """The value at a place, while the program is recorded."""
+        return self._values[place]
+
+    def note(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Recorded:
+        """Note an operation, and return its result."""
+        key = function, tuple(_key(argument) for argument in arguments)
+        if key not in self._known:
+            places = tuple(a.place if isinstance(a, Recorded) else self._put(a) for a in arguments)
+            result = function(*(self._values[place] for place in places))
+            if not isinstance(result, (np.ndarray, np.generic)):
+                raise TypeError(f"an operation returns {type(result).__name__}, not an array")
+            self._known[key] = Recorded(self, self._put(result))
+            self._steps.append((function, places, self._known[key].place))
+        return self._known[key]
+
+    def _finish(self) -> None:
+        """Leave out the steps that no result needs, and find the values that each step reads last."""
+        needed, steps = set(self._results.values()), []
+        for step in reversed(self._steps):
+            if step[2] in needed:
+                needed.update(step[1])
+                steps.append(step)
+        self._places = {name: place for name, place in self._places.items() if place in needed}
+        made = {place for *_, place in self._steps}.union(self._places.values())
+        kept, seen, freed = set(self._results.values()), set[int](), []
+        for _, places, place in steps:  # in backward order
+            last = made.intersection((*places, place)) - seen - kept
+            seen |= last
+            freed.append(sorted(last))
+        self._steps, self._freed, self._known = steps[::-1], freed[::-1], {}
+        self._left = sorted(made.intersection(self._places.values()).union(made & kept))
+        for place in range(len(self._values)):
+            if place in made or place not in needed:
+                self._values[place] = None
+
+    def __call__(self, arguments: Arrays) -> Arrays:
+        """Results for other arguments of the same shapes."""
+        values = self._values
+        for name, place in self._places.items():
+            values[place] = arguments[name]
+        for (function, places, place), freed in zip(self._steps, self._freed, strict=True):
+            values[place] = function(*[values[i] for i in places])
+            for i in freed:
+                values[i] = None
+        results = {name: values[place] for name, place in self._results.items()}
+        for place in self._left:
+            values[place] = None
+        return results
+
+
+def _key(argument: Any) -> Any:
+    """Return a key that only equal arguments share; the program keeps an argument alive for its key."""
+    if isinstance(argument, Recorded):
+        return Recorded, argument.place
+    if isinstance(argument, (tuple, list)):
+        return type(argument), tuple(_key(part) for part in argument)
+    if argument is None or isinstance(argument, (bool, int, float, str)):
+        return type(argument), repr(argument)
+    if isinstance(argument, slice):
+        return slice, argument.start, argument.stop, argument.step
+    return id(argument)
+
+
+@lru_cache(maxsize=1024)
+def _method(name: str, arguments: tuple[Any, ...], named: tuple[tuple[str, Any], ...]) -> Callable[..., Any]:
+    return operator.methodcaller(name, *arguments, **dict(named))
+
+
+@lru_cache(maxsize=1024)
+def _with(function: Callable[..., Any], named: tuple[tuple[str, Any], ...]) -> Callable[..., Any]:
+    return partial(function, **dict(named)) if named else function
+
+
+@lru_cache(maxsize=1024)
+def _of_list(function: Callable[..., Any], count: int, rest: tuple[Any, ...]) -> Callable[..., Any]:
+    """A function of ``count`` arrays in place of a function of their list."""
+    return lambda *arrays: function(arrays[:count], *rest)
+
+
+class Recorded(np.lib.mixins.NDArrayOperatorsMixin):
+    """An array whose operations are noted in a program."""
+
+    __slots__ = ("place", "program")
+
+    def __init__(self, program: Program, place: int) -> None:
+        self.program, self.place = program, place
+
+    @property
+    def _array(self) -> np.ndarray:
+        array: np.ndarray = self.program.value(self.place)
+        return array
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The array's shape; programs are for arguments of equal shapes."""
+        return self._array.shape
+
+    @property
+    def ndim(self) -> int:
+        """Number of axes."""
+        return self._array.ndim
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Type of the entries."""
+        return self._array.dtype
+
+    @property
+    def T(self) -> Recorded:
+        """The array with its axes reversed."""
+        return self.transpose()
+
+    def __len__(self) -> int:
+        return len(self._array)
+
+    def __getitem__(self, index: Any) -> Recorded:
+        return self.program.note(operator.getitem, (self, index))
+
+    def _called(self, name: str, *arguments: Any, **named: Any) -> Recorded:
+        return self.program.note(_method(name, arguments, tuple(named.items())), (self,))
+
+    def reshape(self, *shape: Any) -> Recorded:
+        """See NumPy's array."""
+        return self._called("reshape", *shape)
+
+    def transpose(self, *axes: Any) -> Recorded:
+        """See NumPy's array."""
+        return self._called("transpose", *axes)
+
+    def swapaxes(self, first: int, second: int) -> Recorded:
+        """See NumPy's array."""
+        return self._called("swapaxes", first, second)
+
+    def sum(self, axis: Any = None) -> Recorded:
+        """See NumPy's array."""
+        return self._called("sum", axis=axis)
+
+    @property
+    def real(self) -> Recorded:
+        """The array itself: it is real."""
+        if self.dtype.kind == "c":
+            self._refuse()
+        return self
+
+    def __array_ufunc__(self, function: Any, method: str, *arguments: Any, **named: Any) -> Recorded:
+        if method != "__call__" or "out" in named:
+            self._refuse()
+        return self.program.note(_with(function, tuple(named.items())), arguments)
+
+    def __array_function__(self, function: Any, types: Any, arguments: Any, named: Any) -> Any:
+        if function is np.iscomplexobj:
+            return self.dtype.kind == "c"
+        function = _with(function, tuple(named.items()))
+        if isinstance(arguments[0], (list, tuple)):
+            first, *rest = arguments
+            return self.program.note(_of_list(function, len(first), tuple(rest)), tuple(first))
+        return self.program.note(function, arguments)
+
+    def _refuse(self, *arguments: Any, **named: Any) -> Any:
+        raise TypeError("a program does not depend on values, and its arrays are not written into")
+
+    __array__ = __bool__ = __float__ = __int__ = __index__ = __iter__ = __setitem__ = _refuse
