@@ -16,6 +16,7 @@ from ngsolve import CoefficientFunction
 from ngvisco.forms.unknown_values import UnknownValues
 from ngvisco.physics.arrays import Array, Linear, derivatives
 from ngvisco.physics.bodies import AMOUNT, NO_INTERFACE, Interface
+from ngvisco.physics.flow_rules.films import Films
 from ngvisco.physics.flow_rules.rule import FlowRule
 from ngvisco.physics.material import StateSpace, mandel_stress, rate_power
 from ngvisco.physics.materials.thermal import temperature
@@ -147,14 +148,12 @@ class Rates:
     def read_values(
         self, law: FlowRule | Viscosity, u: UnknownValues, mechanism: CreepMechanism | None = None
     ) -> Values:
-        """Values that a law may read: z, and the pressure and other quantities in ``law.reads``.
-
-        ``mechanism`` is the mechanism of a rule that may harden.
-        """
+        """Values that a law may read: z, and the quantities in ``law.reads``, such as the pressure; the rule
+        of a ``mechanism`` may harden."""
         tensors = {**u.z_tensors}
         if PRESSURE in law.reads:
             tensors[PRESSURE] = self.pressure(u)
-        if isinstance(law, MixedViscosity) and law.interface is not None:
+        if isinstance(law, (Films, MixedViscosity)) and law.interface is not None:
             tensors[INTERFACE] = self._normals(law.interface, u)
         if TEMPERATURE in law.reads:  # from the projected conjugates, K
             tensors[TEMPERATURE] = temperature(self.material, u.zeta_tensors)

@@ -237,8 +237,9 @@ class Step:
         check_mesh(mesh)
         if model.viscosity is not None:
             model.viscosity.require_dimension(mesh.dim)
-        self.mesh, self.model = mesh, model
         self.discretisation = discretisation or Discretisation()
+        model = model.with_bodies_apart(self.discretisation.sharp)
+        self.mesh, self.model = mesh, model
         self.walls = Walls(mesh, conditions)
         source_terms = () if sources is None else (sources,)
         self.impenetrability = Impenetrability(self.walls) if self.walls.multiplied else None

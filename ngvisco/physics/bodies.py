@@ -145,6 +145,18 @@ class Fractions:
             factors[name] = share / (complement + share)
         return factors
 
+    def behind_planes(self, z: Values) -> dict[str, Any]:
+        """The factor chi_i of each body in cells that interfaces cut, theta_i^3 / sum theta_j^4 with theta_j
+        >= 0.
+
+        The sum of chi_i theta_i is one: each body ends where its fraction is 1/2, and no part of the strain
+        counts twice.
+        """
+        fractions = self.not_negative(z)
+        cubes = {name: theta * theta * theta for name, theta in fractions.items()}
+        inverse = 1 / reduce(add, (cubes[name] * theta for name, theta in fractions.items()))
+        return {name: cube * inverse for name, cube in cubes.items()}
+
     def positive(self, z: Values, body: str) -> Any:
         """The fraction theta_i of one body, smoothed to be > 0; about ``TRACE`` where theta_i vanishes."""
         value = z[AMOUNT + body] / self.total(z)

@@ -243,7 +243,7 @@ class Material(ABC):
         return frozenset()
 
     def taking_part(self, z: Values) -> Values:
-        """Factors in [0, 1] of sym L and Pi in rates, by names of variables; 1 for all other variables."""
+        """Factors >= 0 of sym L and Pi in rates, by names of variables; 1 for all other variables."""
         return {}
 
     @property

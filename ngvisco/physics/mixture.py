@@ -21,8 +21,8 @@ densities have (``Material.lagged``), and d_i grows with held volumes.  For give
 (d_i, q_i), and the minimum over the volumes is not larger: both Bregman distances are >= 0.
 
 Body i has the spin W, the strain rate chi_i D and the creep rate chi_i Pi_i.  The body's fraction determines
-chi_i from 0 to 1 (``taking_part``): where the fraction is <= 0, tensors of the body turn, but neither stretch
-nor bear stress.
+chi_i (``taking_part``): where the fraction is <= 0, chi_i is 0, and tensors of the body turn, but neither
+stretch nor bear stress.
 """
 
 from __future__ import annotations
@@ -50,6 +50,7 @@ from ngvisco.physics.bodies import (
 from ngvisco.physics.body_damage import BodyDamage
 from ngvisco.physics.body_energies import EnergyPart, InEquilibrium
 from ngvisco.physics.equilibrium import MixedHeat
+from ngvisco.physics.flow_rules.films import Films
 from ngvisco.physics.flow_rules.rule import PlasticContent
 from ngvisco.physics.material import ElasticState, Material
 from ngvisco.physics.materials.damaged import DAMAGE, Damaged
@@ -86,6 +87,9 @@ class Mixture(Material):
     """The bodies; a parameter made of a modulus has the body's name as a prefix."""
     carried: tuple[Parameter, ...] = ()
     """Parameters of the other laws of the model."""
+    are_apart: bool = False
+    """Whether each step ends with a separation of the bodies, so that a fraction is that of a cell which an
+    interface cuts, and not that of a mixture."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "bodies", tuple(_with_own_names(body) for body in self.bodies))
@@ -284,9 +288,19 @@ class Mixture(Material):
     def taking_part(self, z: Values) -> Values:
         if len(self.bodies) == 1:
             return {}
-        shares = self.fractions.taking_part(z)
+        of = self.fractions
+        shares = of.behind_planes(z) if self.are_apart else of.taking_part(z)
         factors = {X.name: share for name, share in shares.items() for X in self.contents(name)}
         return factors | {broken.slope.name: shares[name] for name, broken in self.damages.items()}
+
+    @cached_property
+    def films(self) -> Films | None:
+        """The creep rate of bodies in cells that they share with films of fluid; None if fractions are those
+        of a mixture, and for bodies that part."""
+        if not self.are_apart or self.parting is not None:
+            return None
+        fluids = [body for body in self.bodies if not self.energies[body.name].tensors]
+        return Films.of(fluids, self.fractions)
 
     @cached_property
     def parting(self) -> Parting | None:

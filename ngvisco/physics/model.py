@@ -180,7 +180,18 @@ class Model:
         material = self.material.with_elastic_state(state)
         if material.variables != self.material.variables:
             return replace(self, material=material)
-        settled = copy(self)  # no check is repeated, because the energy is the same
+        return self._of(material)
+
+    def with_bodies_apart(self, are_apart: bool) -> Self:
+        """The model whose bodies are, or are not, separated at the end of each step."""
+        material = self.material
+        if not isinstance(material, Mixture) or material.are_apart == are_apart:
+            return self
+        return self._of(replace(material, are_apart=are_apart))
+
+    def _of(self, material: Material) -> Self:
+        """The model of a ``material`` with the same energy, for which no check is repeated."""
+        settled = copy(self)
         object.__setattr__(settled, "material", material)
         return settled
 
@@ -200,11 +211,18 @@ class Model:
                 CreepMechanism(self.creep, names, material.conformation) if self.creep is not None else None
             )
             return (mechanism,) if mechanism is not None and mechanism.rule.flows else ()
-        return tuple(
-            CreepMechanism(rule, names, branch=branch, body=body.name, fractions=material.fractions)
+        rules = [
+            (body, branch, rule, material.contents_of(body.name, branch))
             for body in self.bodies
             for branch, rule in body.rules.items()
-            if (names := material.contents_of(body.name, branch))
+        ]
+        if (films := material.films) is not None:
+            elastic = (body for body in self.bodies if not body.rules)
+            rules += [(b, None, films, tuple(X.name for X in material.contents(b.name))) for b in elastic]
+        return tuple(
+            CreepMechanism(rule, names, branch=branch, body=body.name, fractions=material.fractions)
+            for body, branch, rule, names in rules
+            if names
         )
 
     @property

@@ -16,6 +16,9 @@ from ngvisco.forms.sharpening import Sharpening
 from ngvisco.forms.start.initial import set_initial
 from ngvisco.forms.system import Step
 from ngvisco.geometries import box, structured_box
+from ngvisco.physics.arrays import Array
+from ngvisco.physics.bodies import Fractions
+from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.tensors import tr
 from ngvisco.physics.variables import INTERFACE, Jacobian
 from ngvisco.shapes.shape import Where
@@ -494,3 +497,49 @@ def test_viscosities_are_in_series_across_an_interface_and_not_across_rounding(r
     state += 1e-15 * rng.uniform(-1, 1, state.shape)
     P = step.context.rates.read_values(law, step.now)[INTERFACE]
     assert sampler.values(tr(P)) == pytest.approx(trace, abs=1e-8)
+
+
+def test_parts_behind_planes_add_up(rng):
+    """The parts chi_i theta_i of bodies sum to one, also of three and beside undershoots; two bodies with
+    equal fractions have 1/2 each, and a body with a fraction <= 0 has none."""
+    fractions = Fractions(("a", "b", "c"))
+    values = rng.uniform(-0.1, 1.0, (3, 200))
+    values[:, 0] = 0.5, 0.5, 0.0
+    z = {f"n_{name}": Array(value, None) for name, value in zip(fractions.bodies, values, strict=True)}
+    chi, theta = fractions.behind_planes(z), fractions.at(z)
+    parts = np.array([chi[name].value * theta[name].value for name in fractions.bodies])
+    assert parts.sum(axis=0) == pytest.approx(1.0, abs=1e-14)
+    assert parts[:, 0] == pytest.approx([0.5, 0.5, 0.0]) and parts[values <= 0].max(initial=0.0) == 0.0
+
+
+def pulled_by_a_film(solver, rows=4, face=0.375):
+    """Traction of a lid over a film of fluid and an elastic layer at rest, whose face is inside a cell, over
+    that of the film alone, G_v U/(1 - face); and the energies' books."""
+    G_v, U = 0.1, 0.2
+    both = {"viscosity": nv.StokesViscosity(K_v=G_v, G_v=G_v), "density": 1.0}
+    layer = nv.Body(name="layer", where=nv.HalfSpace((0, face), (0.0, 1.0)), material=LINEAR, **both)
+    run = nv.Simulation(
+        structured_box((0.5, 1), (2, rows), periodic="x"),
+        nv.Model(bodies=(nv.Body(name="fluid", material=FLUID, **both), layer)),
+        dt=0.25,
+        walls={"top": nv.PrescribedTangential((U, 0.0)), "bottom": nv.NoSlip()},
+        discretisation=nv.Discretisation(k=3, m=1, sharp=True),
+        solver=solver,
+    )
+    ledger = run.run(8.0)
+    below = float(run.rothe_step.now.v(run.mesh(0.2, 0.95))[0])
+    return (U - below) / 0.05 * (1 - face) / U, ledger
+
+
+@pytest.mark.parametrize("solver", ["split", "coupled"])
+def test_a_film_is_as_thick_as_it_is(solver, monkeypatch):
+    """The layer ends at its face, and is not sheared with the film of its cell: the traction is right within
+    4 %. A layer that ends where its fraction is 1/5 and that is sheared with the film bears 10 % too much."""
+    share, ledger = pulled_by_a_film(solver)
+    assert 0.98 < share < 1.04
+    assert np.abs(ledger.column("closure_relative")).max() < 1e-10
+    assert ledger.column("dissipation_creep")[1:].min() > 0
+    if solver == "split":
+        monkeypatch.setattr(Fractions, "behind_planes", Fractions.taking_part)
+        monkeypatch.setattr(Mixture, "films", None)
+        assert pulled_by_a_film(solver)[0] > 1.07

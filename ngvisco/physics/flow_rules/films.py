@@ -1,0 +1,64 @@
+"""Films of fluid and a body in one cell, in series: they bear one shear traction, and shear at two rates.
+
+A cell that an interface of normal n cuts has one velocity. Let S be the fluid's part of the cell, D the shear
+across the interface at the cell's rate, e_f and e the shear of the fluid and of the body:
+
+    D = S e_f + (1 - S) e.
+
+The viscous stress of both is that of the fluid, 2 G_v e, and the body bears the elastic traction M in
+addition: 2 G_v e_f = 2 G_v e + M. So
+
+    e = D - Pi,   Pi = S M/(2 G_v),
+
+which has the form of a creep rate.  Its power M : Pi >= 0, with the weight 1 - S, is what the two rates
+dissipate more than one rate D does.  Without this rate the body's part of the cell is sheared like the film,
+and drags the wall along.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import reduce
+from operator import add
+
+from ngvisco.physics.bodies import Body, Fractions, Interface
+from ngvisco.physics.flow_rules.rule import FlowRule
+from ngvisco.physics.parameters import typical_value, value_at
+from ngvisco.physics.rheology import StokesViscosity
+from ngvisco.physics.tensors import Tensor, dev, shear_across
+from ngvisco.physics.variables import INTERFACE, Values
+
+
+@dataclass(frozen=True, kw_only=True)
+class Films(FlowRule):
+    """Pi = sum S_f/(2 G_v) of the shear of M across the interface, f the fluids and S_f = chi_f theta_f."""
+
+    fluids: tuple[tuple[str, StokesViscosity], ...]
+    """Pairs of a fluid's name and its viscosity, with G_v > 0."""
+    fractions: Fractions
+
+    reads = frozenset({INTERFACE})
+    degree = 1.0
+
+    @classmethod
+    def of(cls, fluids: Sequence[Body], fractions: Fractions) -> Films | None:
+        """The rule for films of those ``fluids`` that have a viscosity of Stokes; None for no such fluid."""
+        viscous = [
+            (body.name, body.viscosity)
+            for body in fluids
+            if isinstance(body.viscosity, StokesViscosity) and typical_value(body.viscosity.G_v) > 0
+        ]
+        return cls(fluids=tuple(viscous), fractions=fractions) if viscous else None
+
+    @property
+    def interface(self) -> Interface:
+        """The interface between fluids and other bodies."""
+        names = {name for name, _ in self.fluids}
+        values = ((body, float(body in names)) for body in self.fractions.bodies)
+        return Interface(tuple(values), self.fractions)
+
+    def rate(self, M: Tensor, zeta: Tensor | None, z: Values) -> Tensor:
+        theta, chi = self.fractions.not_negative(z), self.fractions.behind_planes(z)
+        parts = ((0.5 / value_at(law.G_v, z)) * (chi[name] * theta[name]) for name, law in self.fluids)
+        return reduce(add, parts) * dev(shear_across(M, z[INTERFACE]))
