@@ -180,14 +180,15 @@ def bodies(solver: str, maxh: float = 0.4) -> nv.Simulation:
 
 
 def apart(solver: str, dim: int = 2) -> nv.Simulation:
-    """Bodies that are separated after each step, two of which meet in a third; periodic in the plane."""
+    """Bodies that are separated after each step, two of which meet in a fluid, with films of it in their
+    cells; periodic in the plane."""
     laws = {"viscosity": VISCOSITY, "density": 1.0}
-    solid, fluid = nv.ReferentialNeoHookean(K_e=10.0, G_e=2.0), nv.ReferentialNeoHookean(K_e=10.0, G_e=0.1)
+    solid = nv.ReferentialNeoHookean(K_e=8.0, G_e=2.0)
     centre = (0.5, 0.55, 0.5)[:dim]
     parts = [
         nv.Body(name="ball", where=nv.Ball(centre, 0.25), material=solid, order=1, **laws),
         nv.Body(name="layer", where=0.35 - y, material=solid, **laws),
-        nv.Body(name="rest", material=fluid, **laws),
+        nv.Body(name="rest", material=FLUID, **laws),
     ]
     periodic = {"periodic": "x"} if dim == 2 else {}
     return nv.Simulation(
