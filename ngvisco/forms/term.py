@@ -56,6 +56,9 @@ class Entry:
     has_sign: bool = True
     """Whether a dissipation's integrand is nowhere negative; every step checks this. False if the sign holds
     only up to the projection of conjugates."""
+    difference_of: Integrand | None = None
+    """The larger of two quantities whose difference the integrand is, if this difference may be small: the
+    integrand has the rounding of this quantity."""
 
 
 @runtime_checkable

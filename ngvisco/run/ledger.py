@@ -28,7 +28,7 @@ from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Entry, Integrand, Kind
 from ngvisco.physics.defects import parted
-from ngvisco.physics.materials.thermal import entropy_in, temperature
+from ngvisco.physics.materials.thermal import temperature
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.tensors import least_eigenvalues, square
 from ngvisco.run.adaptive import CRACKED, GROWTH, DamageWarning, growth_message
@@ -37,15 +37,12 @@ from ngvisco.run.inlets import InflowWarning, Inlets
 from ngvisco.run.momentum import Momentum
 from ngvisco.run.momentum import unit as unit_of_momentum
 from ngvisco.run.notebook import data_frame, ledger_html
+from ngvisco.run.rounding import heat, rounding
 from ngvisco.run.signs import CREEP_POWER, Signs, cause_of_negative_power
 from ngvisco.timestepping.integrator import LIMITER, LIMITER_WALLS, StepTaken
 
 EIGENVALUE = "eigenvalue_min_"
 """Beginning of the columns of each tensor B's least eigenvalue, which has to be positive."""
-_STRETCH, _OPERATIONS = 1e-4, 30
-"""Relative change of the variables in the second difference by which the size of an energy density's terms is
-estimated; and the rounding of an energy density, in units of the rounding of numbers of this size."""
-
 _RATES = ("dissipation", "power", "production", "flux")
 """Kinds of entries that are rates at the scheme's stages."""
 _COUNTS = ("newton_iterations", "rejections", "limited_cells", "passive_unsolved")
@@ -311,7 +308,7 @@ class Ledger:
         exchanged = tau * sum(abs(values[name]) for name in physical)
         scale = max(abs(energy), abs(self.balance.energy), exchanged)
         if not abs(closure) <= CLOSED * scale:
-            scale = max(scale, self.rounding() / CLOSED, self.heat())
+            scale = max(scale, rounding(self.step, self.sampler, tau) / CLOSED, heat(self.step))
         expected = self.balance.initial_mass + tau * inflow
         row = values | {
             **{"step": number, "time": time, "dt": tau, "closure": closure},
@@ -344,32 +341,6 @@ class Ledger:
         if kind not in self._warned:
             self._warned.add(kind)
             self.sampler.ranks.warn(message, kind, stacklevel=3)
-
-    def rounding(self) -> float:
-        """The size of rounding in the stored energy at the present state, J.
-
-        An energy that is zero at rest, such as tr B - ln det B - 3, is a difference of larger terms.  The
-        terms' size is int |phi''(z)[z, z]|; the size of the heat above theta_R is int c theta.
-        """
-        z = self.step.now.z_tensors
-        factors = (1 - _STRETCH, 1.0, 1 + _STRETCH)
-        stretched = ({name: factor * value for name, value in z.items()} for factor in factors)
-        less, here, more = (self.step.energy.samples(state, self.sampler) for state in stretched)
-        scale = np.nan_to_num(abs(less - 2 * here + more), posinf=0.0) / _STRETCH**2
-        return _OPERATIONS * np.finfo(float).eps * (self.sampler.integral(scale) + self.heat(1.0))
-
-    def heat(self, s: float | None = None) -> float:
-        """int theta |s|, the size of the heat above the reference temperature, J; 0 without heat.
-
-        The heat of warm and of cold places cancels in the energy, while errors of an iteration do not cancel.
-        ``s`` is a constant entropy, by default the present field.
-        """
-        entropy = entropy_in(self.step.model.material)
-        if entropy is None:
-            return 0.0
-        u = self.step.now
-        heat = u.zeta_tensors[entropy.name] * (u.z_tensors[entropy.name] if s is None else s)
-        return float(self.step.quadrature.integrate_cells(sqrt(heat * heat)))
 
     def _append(self, row: dict[str, float]) -> dict[str, float]:
         self.rows.append({name: row[name] for name in self.columns})

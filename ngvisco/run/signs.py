@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from functools import reduce
 
 import numpy as np
-from ngsolve import L2, CoefficientFunction, LinearForm
+from ngsolve import CF, L2, CoefficientFunction, LinearForm
 
 from ngvisco.errors import NgviscoWarning
 from ngvisco.forms.boundary.boundaries import cells_at
@@ -19,6 +19,7 @@ from ngvisco.forms.system import Step
 from ngvisco.forms.term import PRODUCTION, Entry, Integrand
 from ngvisco.forms.terms.regularisation import DELTA_FIELDS
 from ngvisco.forms.terms.transport import UPWINDING
+from ngvisco.physics.materials.thermal import entropy_in
 from ngvisco.physics.parameters import moduli_in
 from ngvisco.physics.tensors import if_positive
 from ngvisco.physics.variables import Values
@@ -60,6 +61,9 @@ class Signs:
     ) -> None:
         """Sort the dissipations by their signs; ``cause`` returns the reason why creep gives energy."""
         self._step, self._sampler, self._warn, self._cause = step, sampler, warn, cause
+        entropy, volume = entropy_in(step.model.material), step.quadrature.integrate_cells(CF(1.0))
+        self._capacity = 0.0 if entropy is None else entropy.unit * float(volume)
+        """Size of the entropy, J/K, by which rounding counts where the entropy is zero."""
         self._productions = [entry.name for entry in entries if entry.name.startswith(PRODUCTION)]
         self._nearly: list[str] = []
         """Columns whose sign is certain only up to the error of the projection of conjugates."""
@@ -148,7 +152,7 @@ class Signs:
         productions = {name: row[name] for name in self._productions}
         least = min(productions, key=lambda name: productions[name], default="")
         # near rest a production is an error of the iteration, in proportion to the whole entropy
-        rate = abs(row.get("entropy", 0.0)) / row["dt"]
+        rate = (abs(row.get("entropy", 0.0)) + self._capacity) / row["dt"]
         share, rounding = _NEGATIVE, _ROUNDING * rate
         # production by upwinding is >= 0 up to an error of projection
         if least == PRODUCTION + UPWINDING.removeprefix("dissipation_"):

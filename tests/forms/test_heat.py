@@ -1,6 +1,7 @@
 """Heat in both solvers: dissipation becomes heat, the total energy is kept, and entropy grows."""
 
 import math
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,7 @@ import ngvisco as nv
 from ngvisco.forms.projections import set_traces
 from ngvisco.forms.term import PRODUCTION, Entry, Integrand, PointTerm
 from ngvisco.forms.terms.transport import Upwinding
-from ngvisco.geometries import box
+from ngvisco.geometries import box, structured_box
 from ngvisco.physics.tensors import inner, square
 from ngvisco.run.signs import EntropyWarning
 
@@ -223,6 +224,53 @@ def test_a_mechanism_that_takes_entropy_away_is_warned_of_by_name():
     with feeding, pytest.warns(EntropyWarning, match=r"entropy_production_feeding is -.* a law gives energy"):
         ledger = run_of("coupled", laws={"viscosity": VISCOSITY}, terms=[Feeding()]).ledger
     assert abs(ledger.column("closure_relative")).max() <= 1e-10  # the ledger alone does not show the fault
+
+
+def test_entropy_that_is_zero_has_rounding():
+    """A solid at its reference temperature is compressed adiabatically and uniformly: entropy stays zero, and
+    its production is rounding."""
+    run = nv.Simulation(
+        structured_box((1.0, 1.0), (1, 1)),
+        nv.Model(
+            material=nv.Thermal(
+                material=nv.ReferentialNeoHookean(K_e=100.0, G_e=10.0), c=10.0, theta_R=300.0, gruneisen=2.0
+            )
+        ),
+        dt=0.005,
+        scheme="midpoint",
+        initial=nv.Initial(density=1e-4, velocity=(-0.1 * x, 0.0)),
+        walls={"right": nv.PrescribedNormal(velocity=-0.1)},
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", EntropyWarning)
+        run.run(0.05)
+    assert 0 < -min(run.ledger.column(PRODUCTION + "upwinding")) < 1e-12  # the rounding of heat over a step
+
+
+@pytest.mark.filterwarnings("ignore:.*of the momentum that there is")
+def test_a_wall_of_a_huge_heat_transfer_coefficient_has_the_rounding_of_its_exchange():
+    """The exchange is coefficient times a difference of temperatures in their last digits."""
+    walls = {"left": 400.0, "right": 300.0}
+    run = nv.Simulation(
+        structured_box((0.01, 0.01), (2, 1)),
+        nv.Model(
+            material=nv.Thermal(
+                material=nv.LinearElastic(K_e=1e9, G_e=1e9), c=3.6e6, theta_R=293.0, expansion=0.0
+            ),
+            heat=nv.Heat(conductivity=50.0),
+        ),
+        dt=20.0,
+        initial=nv.Initial(density=7800.0, temperature=350.0 - 1e4 * (x - 0.005)),
+        walls={
+            name: nv.NoSlip(heat=nv.WallHeat(temperature=theta, coefficient=1e11))
+            for name, theta in walls.items()
+        },
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", nv.ClosureWarning)
+        run.run(200.0)
+    power = run.ledger.column("power_heat_left")[-1]
+    assert power == pytest.approx(50.0 * 1e4 * 0.01, rel=1e-2)  # W/m
 
 
 def test_what_the_diffusion_of_fields_dissipates_is_heat_in_the_coupled_solver():

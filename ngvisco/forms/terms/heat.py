@@ -175,8 +175,10 @@ class HeatThroughWall(_OfEntropy):
 
     def entries(self, u: Fields) -> list[Entry]:
         heat = self._heat(u)
+        indicator, coefficient = (u.context.given(value) for value in (self._indicator, self._given[1]))
+        outwards = Integrand(facets=indicator * coefficient * self.theta(u))
         return [
-            Entry(f"power_heat_{self.name}", "power", Integrand(facets=heat)),
+            Entry(f"power_heat_{self.name}", "power", Integrand(facets=heat), difference_of=outwards),
             Entry(f"entropy_supply_{self.name}", "production", Integrand(facets=heat / self.theta(u))),
         ]
 
