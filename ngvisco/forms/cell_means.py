@@ -157,7 +157,7 @@ class Ranges:
         return ((least < low - slack) | (largest > high + slack)).T, least.T, largest.T
 
 
-_PART = 0.1  # fraction above which a body counts (``Mixture.taking_part``)
+_PART = 0.1  # fraction above which a body takes part (``Mixture.taking_part``)
 
 
 class Stretches:

@@ -1,4 +1,5 @@
-"""Report on a step that could not be taken: three lines of results and advice, a rule, and the details.
+"""Report on a step that could not be taken: failure, advised change and time reached, then a rule and the
+details.
 
 ``Simulation.advance`` attaches a ``FailureReport`` to the StepError that it raises.
 """

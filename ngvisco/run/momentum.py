@@ -128,8 +128,7 @@ class Momentum:
         return self._named(self.impulses.integrands(u))
 
     def _named(self, of_causes: Mapping[str, Sequence[OfMotion]]) -> dict[str, OfMotion]:
-        """Values by columns, from ``values``, which has an array over the motions for each name of an impulse
-        and of ``DEFECTS``."""
+        """Values by columns, from values for each motion by the names of impulses and of ``DEFECTS``."""
         by_columns: dict[str, OfMotion] = {}
         for name, values in of_causes.items():
             quantity = f"defect_{name}" if name in DEFECTS else IMPULSE + name

@@ -123,7 +123,7 @@ class Progress:
 
     def finish(self, simulation: Simulation) -> None:
         is_at_end = self._is_at_end(simulation)
-        if not (is_at_end or simulation.stop_requested):  # an error of the output does not end the run
+        if not (is_at_end or simulation.stop_requested):  # the run goes on, as on another mesh
             return
         word = "finished" if is_at_end else "stopped"
         self._print(f"{word} at t = {simulation.t:g} s after {steps_in_words(simulation)}")

@@ -168,7 +168,7 @@ def stretches(
     """
     cells, every = _First(first, simulation.ranks, refinement), refinement.every
     if simulation.number == 0 and simulation.ledger.balance is None:
-        for _ in range(refinement.levels):  # on a finer mesh the start values are evaluated anew
+        for _ in range(refinement.levels):  # each finer mesh resolves the start values better
             if (finer := cells.under(simulation)) is None:
                 break
             simulation, chosen = finer
