@@ -7,6 +7,7 @@ import argparse
 import os
 import re
 import sys
+import time as clock
 import traceback
 import warnings
 from collections.abc import Callable, Sequence
@@ -204,6 +205,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # more BLAS threads than processors slow down the sparse solver, and change its sums
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     options = parser().parse_args(arguments)
+    # a command of its own has imported NGSolve and this package; a caller's process had other work too
+    options.imports = clock.process_time() if arguments is None else 0.0
     streams.make_safe()
     with warnings.catch_warnings():
         warnings.showwarning = _notices()

@@ -67,7 +67,7 @@ def check(options: argparse.Namespace) -> int:
             f"{least}, if all have dt_max = {adaptive.dt_max:g} s"
         )
     sys.stdout.flush()  # show these lines now: a hard step takes minutes
-    before = clock.perf_counter() - began
+    before = options.imports + clock.perf_counter() - began
     start = scales(run)
     try:
         first, later, count, writing = _measure(case, run, steps)
@@ -172,7 +172,7 @@ def _duration(seconds: float) -> str:
     for size, unit in ((86400, "days"), (3600, "h"), (60, "min")):
         if seconds >= size:
             return f"{seconds / size:.1f} {unit}"
-    return f"{seconds:.0f} s" if seconds >= 1 else f"{seconds:.1g} s"
+    return f"{seconds:.0f} s" if seconds >= 10 else f"{seconds:.2g} s"
 
 
 def info(options: argparse.Namespace) -> int:

@@ -116,6 +116,14 @@ def test_check_reports_and_writes_nothing(case_file, capsys, monkeypatch):
     assert list(case_file.parent.iterdir()) == [case_file]
 
 
+def test_set_up_of_a_command_has_its_imports(case_file, capsys, monkeypatch):
+    """Imports take longer than all steps of a tiny run; main without arguments is a process of its own."""
+    monkeypatch.setattr("ngvisco.cli.main.clock.process_time", lambda: 7200.0)
+    monkeypatch.setattr("sys.argv", ["ngvisco", "check", str(case_file)])
+    assert main() == 0
+    assert "after 2.0 h of set-up" in capsys.readouterr().out
+
+
 def test_check_counts_steps_that_a_run_chooses_by_the_longest_one(case_file, capsys):
     """The first step lasts a microsecond; counted by this length, there would be a million steps, or days
     for a run of seconds."""
