@@ -6,7 +6,7 @@ A number may have its own unit, and ``[units]`` has the units of plain numbers (
 import ast
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,9 @@ _CHAIN = re.compile(r"(?:\*\*|\^)[^*^/()A-Za-z]*(?:\*\*|\^)|\d\s*(?:\*\*|\^)")
 _LARGEST_POWER = 100.0
 """Bound on the product of a unit's exponents, because pint computes with whole numbers of any length."""
 
-_QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([A-Za-zµμ°Å].{0,80})\s*")
+_QUANTITY = re.compile(
+    r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*((?:(?<=\s)1\s*/\s*)?[A-Za-zµμ°Å].{0,80})\s*"
+)
 
 
 class UnitError(ValueError):
@@ -226,11 +228,14 @@ class _Scaled(ast.NodeTransformer):
         return node if scale == 1.0 else ast.BinOp(node, ast.Div(), ast.Constant(scale))
 
 
-def key_and_unit_of(name: str, sections: Section) -> tuple[str, str]:
+def key_and_unit_of(
+    name: str, sections: Section, numbers: Mapping[str, float] | None = None
+) -> tuple[str, str]:
     """The key and the SI unit of the number that a parameter of a run has in a case.
 
     ``name`` is that of ``sensitivity.parameters``: a name may begin with a key of ``[rheology]``, and a body
-    may be called by its name.  The unit is empty for pure numbers and for names that are no key.
+    may be called by its name.  The unit is empty for pure numbers and for names that are no key.  An exponent
+    in a unit, as that of a power law, is the case's number, or that of its key in ``numbers``.
     """
     at_front = name.partition(".")[0] in type(sections.rheology).model_fields  # type: ignore[attr-defined]
     names = (f"rheology.{name}" if at_front else name).split(".")
@@ -240,8 +245,11 @@ def key_and_unit_of(name: str, sections: Section) -> tuple[str, str]:
     # a component of a vector has the vector's unit; the whole case is a table too
     places = ((given(sections, key[:length]), key[length]) for length in reversed(range(len(key))))
     table, last = next((table, last) for table, last in places if isinstance(table, Section))
-    unit = _with_exponents(quantity(type(table), last).unit, type(table), table.model_dump())
-    return ".".join(key), "" if unit in ("1", "any") else unit
+    whole = ".".join(key)
+    beside, data = whole.removesuffix(last), table.model_dump()
+    data |= {other: number for other in data if (number := (numbers or {}).get(beside + other)) is not None}
+    unit = _with_exponents(quantity(type(table), last).unit, type(table), data)
+    return whole, "" if unit in ("1", "any") else unit
 
 
 def _with_exponents(unit: str, model: type[Section], data: dict[str, Any]) -> str:

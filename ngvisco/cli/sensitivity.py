@@ -152,9 +152,12 @@ def _best_run(options: argparse.Namespace, case: Case, result: Fit) -> str:
     """The command that runs the case with the fitted values, each with its unit; a run may have numbers that
     its case has under no key, as those of the branches of a Prony series."""
     settings = list(options.settings)
-    for name, value in zip(result.by, result.values, strict=True):
-        key, unit = key_and_unit_of(name, case.sections)
-        settings.append(f"{key}={value:.10g} {unit}".rstrip())
+    values = [f"{value:.10g}" for value in result.values]
+    keys = [key_and_unit_of(name, case.sections)[0] for name in result.by]
+    fitted = {key: float(value) for key, value in zip(keys, values, strict=True)}
+    for name, value in zip(result.by, values, strict=True):
+        key, unit = key_and_unit_of(name, case.sections, fitted)
+        settings.append(f"{key}={value} {unit}".rstrip())
     try:
         cases.load_case(options.case, settings)
     except cases.CaseError as error:

@@ -9,7 +9,7 @@ import pytest
 import ngvisco as nv
 from ngvisco.case.build import parse_case
 from ngvisco.case.reference import entries
-from ngvisco.case.units import SI, Converter, UnitError, converted, factor
+from ngvisco.case.units import SI, Converter, UnitError, converted, factor, key_and_unit_of
 
 CASE = """\
 [units]
@@ -222,3 +222,39 @@ def test_velocities_without_a_unit_beside_lengths_and_times_with_one_are_said():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         parse_case(CASE, "case.toml", Path("."))
+
+
+NORTON = """\
+[domain]
+geometry = "box"
+size = [1, 1]
+maxh = 1
+[material]
+kind = "LinearElastic"
+K_e = 10
+G_e = 5
+[rheology.creep]
+kind = "Norton"
+A = "0.5 1/s/MPa^2.5"
+n = 2.5
+[time]
+dt = "0.1 1/Hz"
+until = 0.2
+"""
+
+
+def test_a_unit_may_begin_with_one_over_another():
+    sections = parse_case(NORTON, "case.toml", Path()).sections
+    factor_of_power = sections.rheology.creep.A
+    assert factor_of_power == pytest.approx(0.5e-15, rel=1e-12)
+    assert sections.time.dt == pytest.approx(0.1, rel=1e-12)
+
+
+def test_the_unit_of_a_power_law_has_a_fitted_exponent():
+    """A fit prints A in the unit that belongs to the fitted n, so that the printed command runs."""
+    sections = parse_case(NORTON, "case.toml", Path()).sections
+    assert key_and_unit_of("creep.A", sections) == ("rheology.creep.A", "1/s/Pa^(2.5)")
+    key, unit = key_and_unit_of("creep.A", sections, {"rheology.creep.n": 2.988765432})
+    settings = [f"{key}=0.25 {unit}", "rheology.creep.n=2.988765432"]
+    again = parse_case(NORTON, "case.toml", Path(), settings)
+    assert again.sections.rheology.creep.A == 0.25
