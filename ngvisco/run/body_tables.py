@@ -163,8 +163,9 @@ class Bodies(Series):
     Outlines, ellipses and gaps are those of bodies across periodic boundaries.  The centroid of a body that
     crosses such a boundary is the mean place of its parts in the domain, and the torque is about this place.
     A ``SmearedWarning`` is issued, once, for a body with a place whose interface is more than three cells
-    wide, and in two dimensions a ``SelfContactWarning`` if parts of its outline face each other within a
-    cell.  A run's HDF5 file (``Checkpoints``) holds the columns in the group ``bodies``.
+    wide, and in two dimensions a ``SelfContactWarning`` if parts of its outline face each other within
+    1.5 cells; in three dimensions it is not issued.  A run's HDF5 file (``Checkpoints``) holds the columns
+    in the group ``bodies``.
     A run raises ParameterError for a model without bodies, for a measure that needs an outline in three
     dimensions, and for ``gap`` of fewer than two bodies that have a place.
 
@@ -311,7 +312,7 @@ class Bodies(Series):
                 )
                 self._warn(simulation, name, message, SmearedWarning)
             ends = np.zeros((0, 2, 5)) if self.fractions.dim != 2 else self.fractions.cut(name).ends
-            if (cells := facing(ends, self.fractions.periods.images)) < 1:
+            if (cells := facing(ends, self.fractions.periods.images)) < np.inf:
                 message = (
                     f"parts of the outline of the body {name!r} face each other at {cells:.2g} cells: they "
                     "bear each other before they touch, and may stick; take smaller cells there"

@@ -13,6 +13,9 @@ from scipy.spatial import cKDTree
 
 _CHUNK = 1_000_000
 """Number of pairs of points and segments in one array."""
+_BEARING = 1.5
+"""Distance, in cells, up to which two places of an outline that face each other bear each other: two lips
+that are pressed together rest at 1.4 cells."""
 _OPPOSITE = 0.8
 """Two places of an outline face each other if the cosine of the angles between outward normal and direction
 to the other place is above this value."""
@@ -216,8 +219,9 @@ def facing(ends: np.ndarray, images: np.ndarray) -> float:
     """Least distance, in cells, between two places of an outline that face each other across the outside.
 
     ``ends``, (segments, 2, columns), has the size of cells in the column after x, y, v_1, v_2. Places that
-    are more than a cell apart are not compared; the result is inf if none face each other.  ``images`` are
-    displacements of the outline's images across periodic boundaries, with zero for the outline itself.
+    are more than ``_BEARING`` cells apart are not compared; the result is inf if none face each other.
+    ``images`` are displacements of the outline's images across periodic boundaries, with zero for the outline
+    itself.
     """
     if len(ends) < 2:
         return np.inf
@@ -229,12 +233,12 @@ def facing(ends: np.ndarray, images: np.ndarray) -> float:
     )
     lengths = np.maximum(np.linalg.norm(along, axis=1, keepdims=True), np.finfo(float).tiny)
     outwards = np.stack([along[:, 1], -along[:, 0]], axis=1) / lengths
-    i, j = cKDTree(middle).query_pairs(sizes.max(), output_type="ndarray").T
+    i, j = cKDTree(middle).query_pairs(_BEARING * sizes.max(), output_type="ndarray").T
     off = middle[j] - middle[i]
     width = np.linalg.norm(off, axis=1)
     across = np.minimum((outwards[i] * off).sum(axis=1), -(outwards[j] * off).sum(axis=1))
     cells = width / np.minimum(sizes[i], sizes[j])
-    return float(cells[(across > _OPPOSITE * width) & (cells < 1)].min(initial=np.inf))
+    return float(cells[(across > _OPPOSITE * width) & (cells < _BEARING)].min(initial=np.inf))
 
 
 def _to_segments(
