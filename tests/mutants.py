@@ -600,6 +600,24 @@ MUTANTS = [
         ),
     ),
     *_of(
+        "physics/flow_rules/films.py",
+        (
+            "film that shears faster than the body in its cell",
+            "(0.5 / value_at(law.G_v, z))",
+            "(0.0 / value_at(law.G_v, z))",
+            SHARP + "test_a_film_is_as_thick_as_it_is",
+        ),
+    ),
+    *_of(
+        "physics/bodies.py",
+        (
+            "part of a body behind a plane",
+            "cube * inverse for name",
+            "0.9 * cube * inverse for name",
+            SHARP + "test_parts_behind_planes_add_up",
+        ),
+    ),
+    *_of(
         "forms/sharpening.py",
         (
             "room of an absent body",
