@@ -38,7 +38,7 @@ from ngvisco.physics.tensors import (
     symmetric_tensors,
     trace_free_tensors,
 )
-from ngvisco.physics.variables import CONFORMATION, HARDENING, INTERFACE, PRESSURE, TEMPERATURE, Values
+from ngvisco.physics.variables import CONFORMATION, HARDENING, INTERFACE, PRESSURE, STEP, TEMPERATURE, Values
 
 Conjugate: TypeAlias = Literal["z", "zeta"]
 """Factor of a rate: tests of z, or conjugates zeta."""
@@ -155,6 +155,7 @@ class Rates:
             tensors[PRESSURE] = self.pressure(u)
         if isinstance(law, (Films, MixedViscosity)) and law.interface is not None:
             tensors[INTERFACE] = self._normals(law.interface, u)
+            tensors[STEP] = u.context.rate(1.0)
         if TEMPERATURE in law.reads:  # from the projected conjugates, K
             tensors[TEMPERATURE] = temperature(self.material, u.zeta_tensors)
         if CONFORMATION in law.reads and mechanism is not None and mechanism.conformation is not None:

@@ -63,6 +63,7 @@ from ngvisco.physics.parameters import (
     renamed,
     told_apart,
 )
+from ngvisco.physics.pointwise import respond, rest_state
 from ngvisco.physics.response import Respond
 from ngvisco.physics.tensors import IDENTITY, Tensor, identity_like
 from ngvisco.physics.variables import PRESSURE, Jacobian, Values, Variable
@@ -293,14 +294,15 @@ class Mixture(Material):
         factors = {X.name: share for name, share in shares.items() for X in self.contents(name)}
         return factors | {broken.slope.name: shares[name] for name, broken in self.damages.items()}
 
-    @cached_property
-    def films(self) -> Films | None:
-        """The creep rate of bodies in cells that they share with films of fluid; None if fractions are those
+    def films(self, name: str) -> Films | None:
+        """The creep rate of a body in cells that it shares with films of fluid; None if fractions are those
         of a mixture, and for bodies that part."""
         if not self.are_apart or self.parting is not None:
             return None
-        fluids = [body for body in self.bodies if not self.energies[body.name].tensors]
-        return Films.of(fluids, self.fractions)
+        fluids, psi = [b for b in self.bodies if not self.energies[b.name].tensors], self.energies[name]
+        slope, slices = respond(psi, 3)(rest_state(psi, 3)[None]).slope[0], psi.states(3).slices
+        stiffness = 2 * sum(float(abs(slope[slices[X.name]]).max()) for X in psi.tensors)
+        return Films.of(fluids, self.fractions, stiffness)
 
     @cached_property
     def parting(self) -> Parting | None:

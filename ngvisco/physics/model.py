@@ -216,9 +216,10 @@ class Model:
             for body in self.bodies
             for branch, rule in body.rules.items()
         ]
-        if (films := material.films) is not None:
-            elastic = (body for body in self.bodies if not body.rules)
-            rules += [(b, None, films, tuple(X.name for X in material.contents(b.name))) for b in elastic]
+        for body in self.bodies:
+            names = tuple(X.name for X in material.contents(body.name))
+            if names and not body.rules and (films := material.films(body.name)) is not None:
+                rules.append((body, None, films, names))
         return tuple(
             CreepMechanism(rule, names, branch=branch, body=body.name, fractions=material.fractions)
             for body, branch, rule, names in rules

@@ -541,5 +541,21 @@ def test_a_film_is_as_thick_as_it_is(solver, monkeypatch):
     assert ledger.column("dissipation_creep")[1:].min() > 0
     if solver == "split":
         monkeypatch.setattr(Fractions, "behind_planes", Fractions.taking_part)
-        monkeypatch.setattr(Mixture, "films", None)
+        monkeypatch.setattr(Mixture, "films", lambda mixture, name: None)
         assert pulled_by_a_film(solver)[0] > 1.07
+
+
+def test_a_thin_film_takes_no_more_than_the_stress():
+    """The fluid's viscosity is 5000 times less than the modulus times the step. When a film took more than
+    the body's shear stress in a step, the sign of the stress changed, and such runs ended."""
+    thin = nv.StokesViscosity(K_v=0.1, G_v=1e-5)
+    run = nv.Simulation(
+        structured_box((1, 1), (6, 6), split_corners=True),
+        nv.Model(bodies=[replace(body, viscosity=thin) for body in viscous()]),
+        time=nv.TimeSteps(dt=0.05, scheme="midpoint"),
+        walls={"top": nv.PrescribedTangential((1.0, 0.0))},
+        discretisation=SHARP,
+    )
+    ledger = run.run(0.3)
+    assert ledger.column("rejections").sum() == 0 and ledger.column("newton_iterations").max() < 15
+    assert np.abs(ledger.column("closure_relative")).max() < 1e-10

@@ -11,8 +11,9 @@ addition: 2 G_v e_f = 2 G_v e + M. So
     e = D - Pi,   Pi = S M/(2 G_v),
 
 which has the form of a creep rate.  Its power M : Pi >= 0, with the weight 1 - S, is what the two rates
-dissipate more than one rate D does.  Without this rate the body's part of the cell is sheared like the film,
-and drags the wall along.
+dissipate more than one rate D does.  In a step of length tau Pi is divided by 1 + S k tau/(2 G_v), 2 k the
+stress per creep strain: a thin film relieves M in the step, by the midpoint rule to zero and not beyond it.
+Without this rate the body's part of the cell is sheared like the film, and drags the wall along.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from ngvisco.physics.flow_rules.rule import FlowRule
 from ngvisco.physics.parameters import typical_value, value_at
 from ngvisco.physics.rheology import StokesViscosity
 from ngvisco.physics.tensors import Tensor, dev, shear_across
-from ngvisco.physics.variables import INTERFACE, Values
+from ngvisco.physics.variables import INTERFACE, STEP, Values
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,19 +38,21 @@ class Films(FlowRule):
     fluids: tuple[tuple[str, StokesViscosity], ...]
     """Pairs of a fluid's name and its viscosity, with G_v > 0."""
     fractions: Fractions
+    stiffness: float = 0.0
+    """Half of the body's stress per creep strain at rest, Pa."""
 
     reads = frozenset({INTERFACE})
     degree = 1.0
 
     @classmethod
-    def of(cls, fluids: Sequence[Body], fractions: Fractions) -> Films | None:
+    def of(cls, fluids: Sequence[Body], fractions: Fractions, stiffness: float) -> Films | None:
         """The rule for films of those ``fluids`` that have a viscosity of Stokes; None for no such fluid."""
         viscous = [
             (body.name, body.viscosity)
             for body in fluids
             if isinstance(body.viscosity, StokesViscosity) and typical_value(body.viscosity.G_v) > 0
         ]
-        return cls(fluids=tuple(viscous), fractions=fractions) if viscous else None
+        return cls(fluids=tuple(viscous), fractions=fractions, stiffness=stiffness) if viscous else None
 
     @property
     def interface(self) -> Interface:
@@ -61,4 +64,6 @@ class Films(FlowRule):
     def rate(self, M: Tensor, zeta: Tensor | None, z: Values) -> Tensor:
         theta, chi = self.fractions.not_negative(z), self.fractions.behind_planes(z)
         parts = ((0.5 / value_at(law.G_v, z)) * (chi[name] * theta[name]) for name, law in self.fluids)
-        return reduce(add, parts) * dev(shear_across(M, z[INTERFACE]))
+        fluidity = reduce(add, parts)
+        relieved = z[STEP] + self.stiffness * fluidity
+        return (z[STEP] * fluidity * (1 / relieved)) * dev(shear_across(M, z[INTERFACE]))
