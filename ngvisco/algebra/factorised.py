@@ -30,6 +30,10 @@ DROPPED = 3e-2
 """Sweeps omit entries below this fraction of the diagonal.  They omit four fifths of all entries, and GMRES
 takes no more iterations than with all entries."""
 
+_PARTS = 16
+"""Number of parts in which rows of fine functions are divided: entries of a part that are dropped take memory
+while the part is formed, and no longer."""
+
 SWEEPS, SMOOTHED = 3, 8.0
 """Degree of the Chebyshev polynomial that smooths before and after the coarse problem, and the ratio of the
 largest eigenvalue of D^{-1} A to the least one that the polynomial reduces."""
@@ -169,15 +173,19 @@ class TwoLevelSolver:
         coarse = self._coarse = np.flatnonzero(self.free & is_coarse)
         self._of_fine, self._of_coarse = exchange.part(fine), exchange.part(coarse)
         self._to_coarse = matrix[coarse][:, fine].tocsr().astype(precision.SINGLE, copy=False)
-        rows = matrix[fine]
-        del matrix
-        self._from_coarse = rows[:, coarse].tocsr().astype(precision.SINGLE, copy=False)
-        among_fine = rows[:, fine].tocsr()
-        del rows
-        _drop_small(among_fine, diagonal[fine])
-        self._among_fine = among_fine.astype(precision.SINGLE, copy=False)
+        size, from_coarse, among_fine = np.sqrt(abs(diagonal[fine])), [], []
+        for some in np.array_split(np.arange(len(fine)), _PARTS):
+            rows = matrix[fine[some]]
+            from_coarse.append(rows[:, coarse].tocsr().astype(precision.SINGLE, copy=False))
+            among_fine.append(rows[:, fine].tocsr())
+            _drop_small(among_fine[-1], size[some], size)
+        del matrix, rows
+        self._from_coarse = sp.vstack(from_coarse, format="csr")
+        all_fine = sp.vstack(among_fine, format="csr")
+        del from_coarse, among_fine
+        self._among_fine = all_fine.astype(precision.SINGLE, copy=False)
         # scaled by their diagonals, a sum of matrices has no larger eigenvalue than its parts
-        largest = exchange.communicator.most(largest_eigenvalue(among_fine))
+        largest = exchange.communicator.most(largest_eigenvalue(all_fine))
         middle = 0.5 * largest * (1 + 1 / SMOOTHED)
         self._smoother = (1 / (middle * diagonal[fine])).astype(precision.SINGLE)
 
@@ -213,11 +221,11 @@ class TwoLevelSolver:
         return x
 
 
-def _drop_small(matrix: sp.csr_matrix, diagonal: np.ndarray) -> None:
-    """Remove entries below ``DROPPED`` times the geometric mean of the two diagonal entries, in place."""
-    size = np.sqrt(abs(diagonal))
-    bound = np.repeat(DROPPED * size, np.diff(matrix.indptr))
-    bound *= size[matrix.indices]
+def _drop_small(matrix: sp.csr_matrix, of_rows: np.ndarray, of_columns: np.ndarray) -> None:
+    """Remove, in place, entries below ``DROPPED`` times the product of their row's and column's sizes, the
+    square roots of diagonal entries."""
+    bound = np.repeat(DROPPED * of_rows, np.diff(matrix.indptr))
+    bound *= of_columns[matrix.indices]
     matrix.data[abs(matrix.data) < bound] = 0.0
     matrix.eliminate_zeros()
 

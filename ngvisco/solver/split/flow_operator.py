@@ -230,24 +230,28 @@ class FlowSchurComplement:
             rows -= self.op.z.test(values).T
         return rows
 
-    def _rows_of(
-        self, cells: np.ndarray, hyper_tangent: sp.csr_matrix | None, i: int, dtype: type
-    ) -> sp.csr_matrix:
+    def _rows_of(self, hyper_tangent: sp.csr_matrix | None, i: int, dtype: type) -> sp.csr_matrix:
         """Rows of component i of v, from element matrices and one component's hyperviscosity."""
-        blocks, n = [self._assembled(cells[:, :, i, k]) for k in range(self.dim)], self.op.v.width
+        cells, n = self._in_cells(i), self.op.v.width
+        blocks = [self._assembled(cells[:, :, k]) for k in range(self.dim)]
+        del cells
         if hyper_tangent is not None:
             blocks[i] = blocks[i] + hyper_tangent[:n, :n]
         return beside(blocks, dtype)
 
-    def _in_cells(self) -> np.ndarray:
-        """The tangent's element matrices without hyperviscosity, (cells, local, dim, dim, local)."""
+    def _in_cells(self, i: int) -> np.ndarray:
+        """Rows of component i of v in the tangent's element matrices without hyperviscosity, (cells, local,
+        dim, local)."""
         d, local = self.dim, self.local
-        cells = np.empty((self.cells, local, d, d, local), precision.SINGLE)
+        cells = np.empty((self.cells, local, d, local), precision.SINGLE)
         for part in self.residual.parts:
-            where = part.cells
+            where, count = part.cells, part.cells.stop - part.cells.start
             fields = self.sweep.in_cells(self.to_fields[where], where)
-            inner = self.to_velocity[where] - self.from_fields[where] @ fields
-            cells[where] = inner.reshape(-1, local, d, d, local)
+            of_v, of_z = (
+                matrix[where].reshape(count, local, d, matrix.shape[2])[:, :, i]
+                for matrix in (self.to_velocity, self.from_fields)
+            )
+            cells[where] = (of_v - of_z @ fields).reshape(count, local, d, local)
         return cells
 
     def tangent(self, at: Evaluation, hyper: HyperTangent | None, dtype: type = np.float64) -> sp.csr_matrix:
@@ -264,9 +268,7 @@ class FlowSchurComplement:
         if hyper is not None and at.hyper is not None:
             with self.residual.ranks.together(np.linalg.LinAlgError):
                 hyper_tangent = hyper.update(at.hyper)
-        cells = self._in_cells()
-        rows = [self._rows_of(cells, hyper_tangent, i, dtype) for i in range(d)]
-        del cells
+        rows = [self._rows_of(hyper_tangent, i, dtype) for i in range(d)]
         matrix = stacked(rows)
         matrix.resize((self.size, self.size))
         if self.rest is not None:
