@@ -283,14 +283,16 @@ def structured_box(
     number = (4 if crossed else 2 if dim == 2 else 6) * math.prod(n or 1 for n in counts)
     if number > MAX_CELLS:
         kind = "triangles" if dim == 2 else "tetrahedra"
-        raise ParameterError("structured_box.cells", cells, f"at most {MAX_CELLS} {kind}, these are {number}")
+        raise ParameterError("structured_box.cells", cells, f"at most {MAX_CELLS} {kind}, not {number}")
     axes = "xyz"[:dim]
     require_type("structured_box.split_corners", split_corners, bool)
     directions = _directions("structured_box.periodic", periodic, dim)
     rows = [_spacing(axis, n or 1, grading) for axis, n in zip(axes, counts, strict=True)]
     for name in grading or {}:
         if name not in axes:
-            raise ParameterError("structured_box.grading", grading, f"ratios for some of {', '.join(axes)}")
+            raise ParameterError(
+                "structured_box.grading", grading, f"ratios of cell sizes along {', '.join(axes)}"
+            )
 
     def place(*point: float) -> tuple[float, ...]:
         return tuple(length * row(s) for length, row, s in zip(lengths, rows, point, strict=True))

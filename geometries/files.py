@@ -75,7 +75,7 @@ def load(
     kind = path.suffix.lower()
     if maxh is None and kind not in _MESHES:
         raise ParameterError("load.maxh", maxh, "a cell size, since the file holds a geometry")
-    try_apart(str(path), "read", f"path = sys.argv[1]\n{_MESHES.get(kind, _GEOMETRY)}", str(path))
+    try_apart(str(path), "read the file", f"path = sys.argv[1]\n{_MESHES.get(kind, _GEOMETRY)}", str(path))
     try:
         mesh = _read(path, kind, maxh)
     except (MeshError, ParameterError):

@@ -170,7 +170,7 @@ class Domain:
         try:  # by one thread: with more, Netgen's threads wait a second for a mesh of twelve cells
             mesh = Mesh(OCCGeometry(shape, dim=dim).GenerateMesh(maxh=size, parallel_meshing=False))
         except Exception as error:  # OpenCASCADE and Netgen have many error types
-            raise MeshError(f"{owner}: Netgen cannot mesh it ({error})") from error
+            raise MeshError(f"{owner}: Netgen cannot mesh the shape ({error})") from error
         _require_all(owner, shape, mesh, known, self.is_round)
         if unit != 1.0:
             mesh.ngmesh.Scale(unit)
@@ -193,7 +193,9 @@ def _check_count(field: str, value: float, measure: float, h: float, dim: int, n
     if not factor <= MAX_CELLS * h**n:
         least = (factor / MAX_CELLS) ** (1 / n) * unit
         count = math.exp(min(math.log(factor) - n * math.log(h), 700))
-        raise ParameterError(field, value, f"at least {least:.2g}: this one makes about {count:.0e} cells")
+        raise ParameterError(
+            field, value, f"at least {least:.2g}: the given size makes about {count:.0e} cells"
+        )
 
 
 def _require_all(owner: str, shape: Any, mesh: Mesh, walls: Iterable[str], is_round: bool) -> None:
@@ -223,17 +225,17 @@ def try_apart(owner: str, action: str, code: str, *arguments: str, patience: flo
     try:
         trial = subprocess.run(command, capture_output=True, text=True, timeout=patience)
     except subprocess.TimeoutExpired as error:
-        raise MeshError(f"{owner}: Netgen has no mesh of it after {patience:g} s") from error
+        raise MeshError(f"{owner}: Netgen has made no mesh of the shape in {patience:g} s") from error
     if trial.returncode != 0:
         messages = trial.stderr.strip().splitlines()
-        raise MeshError(f"{owner}: Netgen cannot {action} it ({messages[-1] if messages else 'it crashes'})")
+        raise MeshError(f"{owner}: Netgen cannot {action} ({messages[-1] if messages else 'Netgen crashes'})")
 
 
 def try_shape(owner: str, shape: Any, dim: int, maxh: float) -> None:
     with tempfile.TemporaryDirectory() as scratch:
         path = str(Path(scratch) / "shape.brep")
         shape.WriteBrep(path)
-        try_apart(owner, "mesh", _TRIAL, path, str(dim), repr(maxh), patience=_PATIENCE)
+        try_apart(owner, "mesh the shape", _TRIAL, path, str(dim), repr(maxh), patience=_PATIENCE)
 
 
 _TRIAL = """
@@ -343,7 +345,7 @@ def split_corner_cells(mesh: Mesh) -> Mesh:
     Raises MeshError for a distributed mesh, or for other cells than triangles, quadrilaterals and tetrahedra.
     """
     if mesh.comm.size > 1:
-        raise MeshError("split_corner_cells: the mesh is distributed; divide its cells before that")
+        raise MeshError("split_corner_cells: expected a mesh that is not yet distributed over ranks")
     return with_middles(mesh, corner_cells(mesh))
 
 

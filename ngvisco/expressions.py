@@ -121,15 +121,18 @@ def syntax_tree(text: str) -> ast.expr:
             tree = ast.parse(source.lstrip(), mode="eval").body
     except SyntaxError as error:
         position = lead + max(0, (error.offset or 1) - 1)
-        raise ExpressionError(text, min(position, len(text)), "not an expression") from None
+        raise ExpressionError(text, min(position, len(text)), "the text is not an expression") from None
     except (ValueError, MemoryError, RecursionError):  # excessive nesting or number
-        raise ExpressionError(text, 0, "too deeply nested") from None
+        raise ExpressionError(text, 0, "the expression is too deeply nested") from None
     for node in ast.walk(tree):
         if hasattr(node, "col_offset"):
             node.col_offset += lead
     _check_size(text, tree)
     if (count := _operations(tree)) > MAX_OPERATIONS:
-        reason = f"too long: written out it has {count:.0e} operations, at most {MAX_OPERATIONS} are taken"
+        reason = (
+            f"the expression has {count:.0e} operations when its powers are written out; "
+            f"expected at most {MAX_OPERATIONS}"
+        )
         raise ExpressionError(text, lead, reason)
     return tree
 
@@ -140,7 +143,7 @@ def _check_size(text: str, tree: ast.AST) -> None:
         count, depth = count + len(layer), depth + 1
         if count > MAX_NODES or depth > MAX_DEPTH:
             position = getattr(layer[0], "col_offset", 0)
-            raise ExpressionError(text, position, "too long or too deeply nested")
+            raise ExpressionError(text, position, "the expression is too long or too deeply nested")
         layer = [child for node in layer for child in ast.iter_child_nodes(node)]
 
 
@@ -236,9 +239,9 @@ class Evaluator:
         try:
             result = function(*arguments)
         except (ValueError, ArithmeticError) as error:
-            raise self._error(node, f"no finite number ({error})") from None
+            raise self._error(node, f"the value is not finite ({error})") from None
         if isinstance(result, complex) or not math.isfinite(result):
-            raise self._error(node, "no finite number")
+            raise self._error(node, "the value is not finite")
         return result
 
     def _name(self, node: ast.Name) -> Any:
@@ -269,9 +272,9 @@ class Evaluator:
         if isinstance(a, float) and isinstance(b, float):
             return self._finite(node, _BINARY[kind], a, b)
         if kind in (ast.Add, ast.Sub) and is_tensor(a) != is_tensor(b):
-            raise self._error(node, "a scalar and a tensor have no sum (the identity is I)")
+            raise self._error(node, "a scalar cannot be added to a tensor (the identity is I)")
         if kind is ast.Div and is_tensor(b):
-            raise self._error(node, "nothing is divided by a tensor (inv(A) is its inverse)")
+            raise self._error(node, "a divisor cannot be a tensor (inv(A) is the inverse of A)")
         if kind is ast.Div and isinstance(b, float) and b == 0.0:
             raise self._error(node, "division by zero")
         if kind is ast.Pow and (is_tensor(a) or is_tensor(b)):
@@ -306,7 +309,7 @@ class Evaluator:
     def _choice(self, node: ast.AST, test: ast.expr, yes: ast.expr, no: ast.expr) -> Any:
         condition, a, b = self._condition(test), self.value(yes), self.value(no)
         if is_tensor(a) != is_tensor(b):
-            raise self._error(node, "both values are scalars, or both are tensors")
+            raise self._error(node, "expected two scalars or two tensors")
         if isinstance(condition, float):
             return a if condition > 0 else b
         return if_positive(condition, a, b)
@@ -319,7 +322,7 @@ class Evaluator:
         for part in (node.left, *node.comparators):
             values.append(self.value(part))
             if is_tensor(values[-1]):
-                raise self._error(part, "tensors are not compared")
+                raise self._error(part, "tensors cannot be compared")
         kinds = [type(kind) for kind in node.ops]
         if not _COMPARE.keys() >= set(kinds):
             raise self._error(node, "the comparisons are < <= > >=")

@@ -74,7 +74,9 @@ class RunDirectory:
         The lock file exists only while the lock is held, and a created directory that stays empty is removed.
         """
         if self.path.exists() and not self.path.is_dir():
-            raise RunDirectoryError(f"{self.path}: a file; give a directory, which is made if it is missing")
+            raise RunDirectoryError(
+                f"{self.path}: this is a file; expected a directory (a missing one is created)"
+            )
         is_new = not self.path.exists()
         self.path.mkdir(parents=True, exist_ok=True)
         with _held(self.lock_file) as file:
@@ -120,8 +122,8 @@ class RunDirectory:
         if results := self.results:
             names = ", ".join(sorted(path.name for path in results)[:3])
             raise RunDirectoryError(
-                f"{self.path}: holds results of an earlier run ({names}, ...); resume it, choose another "
-                "directory, or replace it with --force"
+                f"{self.path}: holds results of an earlier run ({names}, ...); resume that run, choose "
+                "another directory, or replace the results with --force"
             )
 
     def read_versions(self) -> dict[str, Any]:
@@ -142,7 +144,7 @@ class RunDirectory:
         """The columns of the ledger in run.h5, with at least one row; raises CheckpointError."""
         ledger = read_ledger(self.run_file)
         if not len(ledger.get("time", ())):
-            raise CheckpointError(f"{self.run_file}: its ledger is empty")
+            raise CheckpointError(f"{self.run_file}: the ledger in this file is empty")
         return ledger
 
     def require_checkpoints(self) -> None:
@@ -167,7 +169,9 @@ class RunDirectory:
         require_whole(self.mesh_file)
         digest = hashlib.sha256(self.mesh_file.read_bytes()).hexdigest()
         if digest != self.read_versions().get("mesh_sha256"):
-            raise MeshError(f"{self.mesh_file}: not the mesh of this run (its hash differs)")
+            raise MeshError(
+                f"{self.mesh_file}: the file does not hold the mesh of this run (the hash differs)"
+            )
         return mesh_in(self.mesh_file)
 
     def chosen_mesh(self) -> ChosenMesh | None:
@@ -188,7 +192,9 @@ def _held(path: Path) -> Iterator[TextIO]:
             if not locks(file):
                 file.seek(0)
                 holder = file.read().strip() or "another process"
-                raise RunDirectoryError(f"{path.parent}: in use by {holder}; wait for it or stop it")
+                raise RunDirectoryError(
+                    f"{path.parent}: {holder} uses this directory; wait for its end, or stop it"
+                )
             # a holder deletes its lock file before it unlocks it: the open file may be deleted already
             with contextlib.suppress(FileNotFoundError):
                 if os.path.samestat(os.fstat(file.fileno()), path.stat()):

@@ -17,6 +17,7 @@ from ngvisco.case.schema import CaseSections
 from ngvisco.case.section import (
     TAGS,
     Section,
+    declaration,
     given,
     models_in,
     owner_of,
@@ -268,16 +269,17 @@ LEAST = 1e-60
 
 def numbers_out_of_range(locator: Locator) -> list[Fault]:
     """Faults of given numbers whose products would underflow or overflow."""
-    expected = f"expected 0, or a finite number from {LEAST:g} to {1 / LEAST:g} in SI units"
-    tables = sections_in(locator.sections)
-    numbers = [
-        ((*path, name), getattr(part, name)) for path, part in tables for name in part.model_fields_set
-    ]
-    return [
-        locator.fault(key, f"{shown(value)}: {expected}")
-        for key, value in numbers
-        if isinstance(value, float) and value and not LEAST <= abs(value) <= 1 / LEAST
-    ]
+    faults = []
+    for path, part in sections_in(locator.sections):
+        for name in part.model_fields_set:
+            value = getattr(part, name)
+            if isinstance(value, float) and value and not LEAST <= abs(value) <= 1 / LEAST:
+                admits_zero = declaration(type(part), name).number(0) is not None
+                expected = (
+                    f"{'0, or ' * admits_zero}a finite number from {LEAST:g} to {1 / LEAST:g} in SI units"
+                )
+                faults.append(locator.fault((*path, name), f"{shown(value)}: expected {expected}"))
+    return faults
 
 
 def key_of(field: str, path: tuple[str, ...], sections: Any, value: object = None) -> tuple[str, ...]:

@@ -58,7 +58,7 @@ def python_material(
         field = f"{KIND}.parameters.{key}" if key in arguments else f"{KIND}.law"
         raise ParameterError(field, arguments.get(key, law), error.expected) from error
     if not isinstance(material, Material):
-        expected = f"a class or function that makes an ngvisco.Material: it made a {type(material).__name__}"
+        expected = f"a class or function that makes an ngvisco.Material, not a {type(material).__name__}"
         raise ParameterError(f"{KIND}.law", law, expected)
     return material
 

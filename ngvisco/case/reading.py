@@ -22,19 +22,19 @@ def text_of(path: Path) -> str:
     """The text of a case file; raises CaseError."""
     locator = Locator({}, source=str(path))
     if path.exists() and not (path.is_file() or path.is_dir()):  # reading a pipe would wait
-        raise locator.error((), "cannot be read: it is a pipe or a device, and no file")
+        raise locator.error((), "cannot be read, since this is a pipe or a device, and no file")
     try:
         with path.open("rb") as file:
             raw = file.read(MAX_FILE_SIZE + 1)
     except OSError as error:
         raise locator.error((), f"cannot be read: {error.strerror}") from error
     if len(raw) > MAX_FILE_SIZE:
-        raise locator.error((), f"longer than {MAX_FILE_SIZE} bytes")
+        raise locator.error((), f"the file is longer than {MAX_FILE_SIZE} bytes")
     try:
         return raw.decode("utf-8-sig")  # some editors begin a file with a mark of the byte order
     except UnicodeDecodeError as error:
         line = raw[: error.start].count(b"\n") + 1
-        raise CaseError(str(path), [Fault("", "not a text in UTF-8", line)]) from error
+        raise CaseError(str(path), [Fault("", "the file is not text in UTF-8", line)]) from error
 
 
 def sections_of(text: str, source: str, directory: Path, settings: Sequence[str]) -> Locator:
@@ -43,9 +43,9 @@ def sections_of(text: str, source: str, directory: Path, settings: Sequence[str]
     try:
         data = tomllib.loads(text)
     except ValueError as error:  # Python also refuses a number of thousands of digits
-        raise locator.error((), f"not TOML: {error}") from error
+        raise locator.error((), f"the file is not TOML: {error}") from error
     except RecursionError as error:
-        raise locator.error((), "not TOML: too deeply nested") from error
+        raise locator.error((), "the file is not TOML: the tables are nested too deeply") from error
     for setting in settings:
         try:
             path, value = toml.parse_override(setting)
@@ -66,7 +66,7 @@ def sections_of(text: str, source: str, directory: Path, settings: Sequence[str]
     except ValidationError as error:
         raise CaseError(source, faults_of(error, CaseSections, locator)) from error
     except RecursionError as error:
-        raise locator.error((), "too deeply nested") from error
+        raise locator.error((), "the tables are nested too deeply") from error
     if faults := numbers_out_of_range(locator):
         raise CaseError(source, faults)
     units = [name for name in ("length", "time") if name in converter.scales]

@@ -77,7 +77,8 @@ def run(
         simulation = case.simulation(_mesh_of_first(case, ranks, whole))
     origin: dict[str, Any] | None = None
     if source is not None:
-        state = load(source).simulation
+        with _naming_source():
+            state = load(source).simulation
         origin = {"directory": str(Path(source).resolve()), "step": state.number}
         notes.append(_taken_over(state, origin, simulation))
         _check_times(case, simulation, is_new=True)
@@ -204,6 +205,16 @@ def _go(
     if message := simulation.ledger.unclosed:
         write(message)
     return simulation
+
+
+@contextlib.contextmanager
+def _naming_source() -> Iterator[None]:
+    """Give an error of the directory from which a run starts the key ``source``."""
+    try:
+        yield
+    except NgviscoError as error:
+        error.key = "source"
+        raise
 
 
 def _taken_over(old: Simulation, origin: dict[str, Any], simulation: Simulation) -> str:

@@ -64,7 +64,7 @@ class Section(BaseModel):
     @classmethod
     def _in_range(cls, value: Any, info: ValidationInfo) -> Any:
         is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-        return _declaration(cls, name := str(info.field_name)).taken(name, value) if is_number else value
+        return declaration(cls, name := str(info.field_name)).taken(name, value) if is_number else value
 
     @model_validator(mode="after")
     def _possible(self) -> Any:
@@ -277,7 +277,7 @@ def quantity(model: type[Section], name: str) -> Quantity:
 
 
 @functools.cache
-def _declaration(model: type[Section], name: str) -> Declared:
+def declaration(model: type[Section], name: str) -> Declared:
     """Type and range of a key's numbers."""
     is_whole = int in _parts(model.model_fields[name].annotation)
     return Declared(quantity(model, name).range, (int if is_whole else float,))

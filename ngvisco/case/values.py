@@ -80,7 +80,7 @@ def _vector(value: Any) -> Any:
         table(value["times"], value["values"])
         return value
     if not isinstance(value, list) or not value or any(isinstance(part, list) for part in value):
-        raise ValueError('expected an array of its components, as in [0, "-1 + x"]')
+        raise ValueError('expected an array of components, as in [0, "-1 + x"]')
     for part in value:
         _scalar(part)
     return value
@@ -111,7 +111,7 @@ def _modulus(value: Any) -> Any:
         return float(_number(value, "an expression of x, y, z in quotes"))
     names = parse(value).names
     if "t" in names or not names:
-        raise ValueError("expected a number, or a function of the initial place, of x, y and z alone")
+        raise ValueError("expected a number, or an expression of the initial place (x, y, z)")
     return value
 
 
@@ -124,7 +124,9 @@ def _law(value: Any) -> Any:
 
 def _region(value: Any) -> Any:
     if "t" in parse_region(value).names:
-        raise ValueError("expected a condition on x, y and z alone: it says where a body is at the start")
+        raise ValueError(
+            "expected a condition on the place (x, y, z) alone, since a body has its place at the start"
+        )
     return value
 
 

@@ -189,10 +189,8 @@ def _threads(text: str) -> int:
 
 def _directory(text: str) -> str:
     if not text or (os.path.exists(text) and not os.path.isdir(text)):
-        what = "a file" if text else "empty"
-        raise argparse.ArgumentTypeError(
-            f"{text!r}: {what}; give a directory, which is made if it is missing"
-        )
+        what = "this is a file" if text else "the name is empty"
+        raise argparse.ArgumentTypeError(f"{text!r}: {what}; expected a directory (a missing one is created)")
     return text
 
 
@@ -272,6 +270,8 @@ def _ended(options: argparse.Namespace) -> int:
 
 _OPTIONS = {"frames_per_second": "fps", "path": "movie"}
 """Options of parameters with another name."""
+_SPELLED = {"source": "from"}
+"""Spelling of options whose names are words of Python."""
 
 
 def _in_options(error: Any, options: argparse.Namespace) -> object:
@@ -285,7 +285,7 @@ def _in_options(error: Any, options: argparse.Namespace) -> object:
     value = getattr(error, "value", None)
     text = ", ".join(map(repr, [value] if value in members else members))
     message = ("expected ", error.expected) if hasattr(error, "expected") else (words_of(error),)
-    return Words(f"--{name} = {text}: ", *message)
+    return Words(f"--{_SPELLED.get(name, name)} = {text}: ", *message)
 
 
 def _command(name: str) -> Callable[[argparse.Namespace], int]:

@@ -28,7 +28,9 @@ def plot(options: argparse.Namespace) -> int:
     section = None if options.section is None else CrossSection.parse(options.section)
     if options.movie is not None:
         if options.step is not None:
-            raise ParameterError("--step", options.step, "nothing with --movie, which draws all states")
+            raise ParameterError(
+                "--step", options.step, "no such option beside --movie, which draws all states"
+            )
         place = RunDirectory(run)
         path, title = Path(options.movie or out / "movie.gif"), place.case().sections.title
         fps = 10.0 if options.fps is None else options.fps
@@ -36,7 +38,9 @@ def plot(options: argparse.Namespace) -> int:
         print(path)
         return 0
     if options.fps is not None:
-        raise ParameterError("--fps", options.fps, "--movie beside it: a picture has no frames")
+        raise ParameterError(
+            "--fps", options.fps, "the option --movie beside --fps, since a picture has no frames"
+        )
     results, chosen, lines = _load(run, options)
     require_space(section, results.mesh.dim)  # raise before anything is drawn
     energies, history, states = (
@@ -66,7 +70,9 @@ def _runs(options: argparse.Namespace) -> dict[str, Path]:
 def _compare(options: argparse.Namespace, runs: dict[str, Path]) -> int:
     for name in ("movie", "fps", "section", "step"):
         if (value := getattr(options, name)) is not None:
-            raise ParameterError(f"--{name}", value, "one run directory; several are compared over time")
+            raise ParameterError(
+                f"--{name}", value, "no such option for several runs, which are compared over time"
+            )
     study = len(options.directory) == 1
     out = Path(options.output or (options.directory[0] if study else "."))
     for path in plot_comparison(runs, out, options.fields, options.format):

@@ -102,7 +102,14 @@ def resume(options: argparse.Namespace) -> int:
     stop = StopOnSignal()
     observers = [*_terminal(options, until), stop]
     end = None if options.until is None else until
-    result = cases.resume(directory, end, observers=observers, settings=options.settings)
+    try:
+        result = cases.resume(directory, end, observers=observers, settings=options.settings)
+    except cases.CaseError as error:
+        if end is not None and any(fault.key.startswith("time.until") for fault in error.faults):
+            error.add_note(
+                "--until does not change the case's time.until; set it too, by --set time.until=..."
+            )
+        raise
     return _close(directory, result, stop)
 
 

@@ -14,10 +14,19 @@ from ngsolve import SetNumThreads
 
 from ngvisco import case as cases
 from ngvisco.case.build import Case, samples
+from ngvisco.case.section import given
 from ngvisco.case.units import factor, key_and_unit_of
 from ngvisco.cli import streams
 from ngvisco.cli.streams import DONE, Stopping, stopped
-from ngvisco.errors import CheckpointError, ParameterError, StopRequested, UnknownNameError, as_number
+from ngvisco.errors import (
+    CheckpointError,
+    ParameterError,
+    StopRequested,
+    UnknownNameError,
+    as_number,
+    listed,
+    nearest,
+)
 from ngvisco.run.simulation import Simulation
 from ngvisco.sensitivity.fit import Fit
 from ngvisco.sensitivity.fit import fit as fitted
@@ -102,7 +111,11 @@ def _simulation(options: argparse.Namespace) -> tuple[Case, Simulation]:
     SetNumThreads(options.threads)
     case = cases.load_case(options.case, options.settings)
     if case.refinement is not None:
-        raise ParameterError("domain.adapt", case.refinement, "no table: a changing mesh has no derivatives")
+        raise ParameterError(
+            "domain.adapt",
+            case.refinement,
+            "no such table, since a run with a changing mesh has no derivatives",
+        )
     tables = list(samples(case.sections, Path()).values())
     for table in tables:
         table.path = None
@@ -112,17 +125,19 @@ def _simulation(options: argparse.Namespace) -> tuple[Case, Simulation]:
 
 
 def _require_keys(names: list[str], case: Case, simulation: Simulation) -> None:
-    """Raise UnknownNameError, with the case's keys, for a name that begins with no part of a run."""
+    """Raise ParameterError, or UnknownNameError with the case's keys, for a name of no number of the run."""
     for name in names:
         try:
             Named.of(name, simulation)
         except UnknownNameError as error:
-            if error.kind != PART:
+            if error.kind == PART:
+                keys = sorted(key_and_unit_of(part, case.sections)[0] for part in error.known)
+                hint = nearest(name, keys)
+                raise ParameterError("by", name, f"a number of {listed(keys)}", hint) from None
+            if given(case.sections, tuple(name.split("."))) is None:
                 raise
-            keys = [key_and_unit_of(part, case.sections)[0] for part in error.known]
-            raise UnknownNameError(
-                "part of a case with derivatives by its numbers", name, keys, "by"
-            ) from None
+            instead = f"; in place of {error.name!r} the run has {listed(error.known)}" if error.known else ""
+            raise ParameterError("by", name, f"a number that the run keeps{instead}") from None
 
 
 def _directory(options: argparse.Namespace, name: str, kind: str) -> Path:

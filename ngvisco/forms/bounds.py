@@ -147,7 +147,7 @@ class Bounds:
         self._share = GridFunction(L2(step.mesh, order=0))  # s of rho in the last limited state
         self.sharpening = Sharpening(step) if step.layout.discretisation.sharp else None
         if self.sharpening is not None and not limits:
-            expected = (False, " where time.limiter is so, which it is a part of")
+            expected = (False, " where time.limiter is off, since the limiter sharpens interfaces")
             raise ParameterError("Discretisation.sharp", True, *expected)
         self.refused: tuple[Violation, np.ndarray] | None = None
         """Violation and coefficients of the last solution with a ``defect``."""
@@ -214,7 +214,7 @@ class Bounds:
             return str(violation)
         theta = temperature(self.step.model.material, self.step.now.zeta_tensors)
         if theta is not None and not (least := self.sampler.extrema(theta)[0]) > 0:
-            return f"the temperature is {least:.4g} K somewhere, and not positive"
+            return f"the temperature is not positive: {least:.4g} K somewhere"
         return self.lack() or self.drift() if is_solved else None
 
     def refusal(self) -> str | None:
@@ -250,8 +250,8 @@ class Bounds:
                 worst = self._ranks.most(means)
                 where = self.sampler.place_of_cells(far[np.argsort(-means[far], kind="stable")])
                 self.parted = (
-                    f"{pair} have parted: det F is off J by {worst:.0%} in the mean {where}, and more than "
-                    f"{self.most:.0%} is refused, since the stress is wrong by as much"
+                    f"{pair} have parted by {worst:.0%} in the mean {where}. More than "
+                    f"{self.most:.0%} is refused, since the stress is wrong by this share"
                 )
                 return self.parted
         return None
@@ -442,7 +442,9 @@ def _check_names(material: Material, z: Values) -> None:
     for name in material.positive(z):
         if name and name not in names:
             owner = type(material).__name__
-            raise UnknownNameError(f"variable of {owner}.positive ('' where it is of several)", name, names)
+            raise UnknownNameError(
+                f"variable in {owner}.positive (a bound of several variables has the name '')", name, names
+            )
 
 
 def _or_least(values: Any) -> Any:

@@ -159,9 +159,9 @@ class Context:
             return
         self._has_warned = True
         Communicator.of(self.mesh).warn(
-            f"the mean of {name} over the step from t = {self.loads_window[0]:g} s is known to {error:.0e} "
-            "of its largest value only: it changes too often in the step, or at other times at other places; "
-            "shorter steps follow it",
+            f"the mean of {name} over the step from t = {self.loads_window[0]:g} s has an error of "
+            f"{error:.0e} of the largest value, since the values change too often in the step, or at "
+            "different times at different places; take shorter steps",
             InputWarning,
             stacklevel=2,
         )

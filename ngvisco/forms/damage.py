@@ -160,23 +160,27 @@ class DamageGrowth:
         step = self.step
         ranks = Communicator.of(step.mesh)
         if ranks.size > 1:
-            raise ParameterError("Model.material", laws[0], "a material without damage, or one process")
+            raise ParameterError(
+                "Model.material", laws[0], "a material without damage, or a run by one process"
+            )
         if step.discretisation.m != 1:
-            expected = "1 with damage: its bounds are those at the vertices of cells"
+            expected = "1 with damage, whose bounds hold at the vertices of cells"
             raise ParameterError("Discretisation.m", step.discretisation.m, expected)
         if not is_simplicial(step.mesh) or step.mesh.GetCurveOrder() > 1:
-            expected = "a mesh of straight triangles or tetrahedra with damage, whose slope is linear there"
+            expected = (
+                "a mesh of straight triangles or tetrahedra with damage, whose slope is linear on such cells"
+            )
             raise ParameterError("Simulation.mesh", step.mesh, expected)
         regularisation = step.model.regularisation
         if regularisation is not None and regularisation.delta_fields:
-            expected = "0 with damage, which it would diffuse"
+            expected = "0 with damage, since delta_fields would diffuse the damage"
             raise ParameterError("Regularisation.delta_fields", regularisation.delta_fields, expected)
         size, length = float(step.context.h.vec.FV().NumPy().min()), min(law.length for law in laws)
         if length < size:
             message = Words(
                 Mention("Damaged.length"),
-                f" = {length:g} m is below the size of the smallest cell, {size:.3g} m: "
-                "what breaks is a row of cells and costs more than G_c; take cells of half of it or less",
+                f" = {length:g} m is below the size of the smallest cell, {size:.3g} m: a crack is then "
+                "one row of cells wide, and costs more than G_c; take cells of at most half the length",
             )
             ranks.warn(message, InputWarning, stacklevel=6)
 

@@ -41,7 +41,10 @@ def storing(terms: Sequence[Term]) -> list[Storing]:
             storing.append(cast(Storing, term))
         elif len(missing) < len(_METHODS):
             name = type(term).__name__
-            expected = f"a term with {', '.join(_METHODS)}, or none of them: it lacks {', '.join(missing)}"
+            expected = (
+                f"a term with {', '.join(_METHODS)}, or with none of them; the given term lacks "
+                f"{', '.join(missing)}"
+            )
             raise ParameterError("Simulation.terms", name, expected)
     return storing
 
@@ -69,7 +72,8 @@ class BregmanDistance:
         entries = {name: Entry(name, "numerical", part) for name, part in parts_of.items()}
         self._distance = EntryIntegrals(step.quadrature, entries)
         moved = GivenParts(
-            {**parts[0]}, "its slope reads the change of {name}, but slopes are taken at a fixed momentum"
+            {**parts[0]},
+            "its slope reads the change of {name}, although a slope is taken at a fixed momentum",
         )
         del moved["v"]
         d, slopes = Fields(layout, moved), []
@@ -103,7 +107,7 @@ def _by_columns(columns: Sequence[str], entries: Sequence[tuple[Storing, Entry]]
     integrands: dict[str, list[Integrand]] = {name: [] for name in columns}
     for term, entry in entries:
         if entry.name not in integrands:
-            expected = f"{' or '.join(map(repr, columns))} as the column that it adds to"
+            expected = f"{' or '.join(map(repr, columns))} as the name of an entry"
             raise ParameterError(f"{type(term).__name__}: entry", entry.name, expected)
         integrands[entry.name].append(entry.integrand)
     return {name: _sum(parts) for name, parts in integrands.items()}

@@ -124,10 +124,10 @@ def temperature_for(
     elif (thermal := part_of(material, Thermal)) is not None:
         reference = thermal.theta_R
     else:
-        known = (": by a temperature only ", call("Thermal", material=...), " knows it")
+        known = (": from a temperature the entropy follows only for ", call("Thermal", material=...))
         raise ParameterError(f"{owner}.values", "no entropy", f"a value of {entropy.name!r}", *known)
     if temperature is None and reference is None:
-        expected = "a temperature: those of reference, theta_R, differ from body to body"
+        expected = "a temperature, since the reference temperatures theta_R differ from body to body"
         raise ParameterError(field, None, expected)
     return as_shape(field, reference if temperature is None else temperature, ())
 
@@ -234,13 +234,15 @@ def entering(wall: Passage, owner: str, model: Model, mesh: Mesh) -> Entering:
                 expected = f"{name.removeprefix(AMOUNT)!r} in {owner}.amounts"
                 raise ParameterError(f"{owner}.values", name, expected)
         if wall.density is not None:
-            raise ParameterError(f"{owner}.density", wall.density, "none with bodies: it is sum rho_i n_i")
+            raise ParameterError(
+                f"{owner}.density", wall.density, "none with bodies, since the density is sum rho_i n_i"
+            )
         if wall.amounts:
             amounts = _entering_amounts(wall, owner, [body.name for body in model.bodies])
             plastic = {K.name: CF(0.0) for K in material.plastic_contents.values()}
             given = material.filled(amounts, Id(3)) | plastic | given
     elif wall.amounts:
-        raise ParameterError(f"{owner}.amounts", dict(wall.amounts), "none where there are no bodies")
+        raise ParameterError(f"{owner}.amounts", dict(wall.amounts), "none in a model without bodies")
     z = given_values(material, given, owner=owner)
     theta = None
     if wall.temperature is not None:
@@ -254,9 +256,10 @@ def entering(wall: Passage, owner: str, model: Model, mesh: Mesh) -> Entering:
     elif _VOLUMES & z.keys():
         if material.referential_density is None:
             expected = (
-                "that of what flows in, kg/m^3, beside its volume among the values: the material has no "
+                "the density of the incoming matter, kg/m^3, beside a volume among the values: the material "
+                "has no "
             )
-            raise ParameterError(f"{owner}.density", None, expected + "referential density that tells it")
+            raise ParameterError(f"{owner}.density", None, expected + "referential density")
         starting = starting_values(material, given | z, Id(3), owner=owner)
         density = CF(value_at(material.referential_density, starting)) / volume_ratio(material, starting)
     return Entering(z, density, theta)

@@ -93,9 +93,12 @@ def check_sharp(step: Step) -> None:
         (step.layout.discretisation.m != 1, " unless m = 1"),
         (
             len(densities) > 1,
-            " for bodies of different densities: momentum would go with what is put apart",
+            " for bodies of different densities: sharpening would move momentum",
         ),
-        (not material.has_one_volume, " for bodies of different volumetric energies: energy would rise"),
+        (
+            not material.has_one_volume,
+            " for bodies of different volumetric energies: sharpening would raise the energy",
+        ),
         (
             not all(psi.is_linear for psi in material.energies.values()),
             " unless energies are linear in B",
@@ -166,8 +169,9 @@ class Sharpening:
             self._is_said = True
             longest = 0.9 * FAR / self.swept * self._tau
             message = (
-                f": the step carried an interface over {self.swept:.2g} of a cell's height, and from {FAR:g} "
-                f"on interfaces go astray: take time.dt (or dt_max) <= {longest:.2g} s, or larger cells there"
+                f": the step carried an interface over {self.swept:.2g} of a cell's height, and steps over "
+                f"more than {FAR:g} displace it: take time.dt (or dt_max) <= {longest:.2g} s, or larger "
+                "cells there"
             )
             words = Words(Mention(_FIELD), " = ", True, message)
             self._ranks.warn(words, InputWarning, stacklevel=5)

@@ -136,7 +136,9 @@ class Layout:
         for term in terms:
             for unknown in term.unknowns(setting):
                 if unknown.evolves and unknown.name in self.states.slices:
-                    expected = f"another name for what evolves: the material has a variable {unknown.name!r}"
+                    expected = (
+                        f"another name for the evolving unknown: the material has a variable {unknown.name!r}"
+                    )
                     raise ParameterError(f"{type(term).__name__}.unknowns", unknown.name, expected)
                 if unknown.name in self.unknowns:
                     expected = "a name that no other term introduces"

@@ -161,10 +161,11 @@ class LocalUnknowns:
             self._of_energy()
 
 
-_NOT_EVOLVED = (
-    "it reads the old value of {name}, which does not evolve: the unknown's declaration lacks evolves=True"
+_NOT_EVOLVED = "the term reads the old value of {name}, whose declaration lacks evolves=True"
+_NO_EQUATION = (
+    "the term has a row of {name}, which is no unknown (with bodies the density is the sum of their "
+    "densities)"
 )
-_NO_EQUATION = "it has a row of {name}, which is no unknown (of bodies the density is the sum of theirs)"
 
 
 def equations(model: Model, rates: TabulatedRates, m: int = 1) -> tuple[Term, ...]:

@@ -44,10 +44,10 @@ class Tension:
         self.is_said = True
         place = self.sampler.largest_in_words(-p, {})
         weighs = any(load.is_weight for load in self.step.model.loads)
-        remedy = '; a start that bears its weight is [initial] equilibrium = "hydrostatic"' if weighs else ""
+        remedy = '; with [initial] equilibrium = "hydrostatic" the start bears the weight' if weighs else ""
         message = (
             f"at t = {t:.4g} s {_subject(self.laws)} a negative pressure, "
-            f"{least:.4g} Pa {place}: matter in tension has no more than its cohesion{remedy}"
+            f"{least:.4g} Pa {place}: the strength of matter in tension is its cohesion alone{remedy}"
         )
         ranks.warn(message, InputWarning, stacklevel=4)
 
@@ -68,8 +68,8 @@ def unborne_weight(step: Step, sampler: Sampler) -> str | None:
         return None
     return (
         f"{_subject(laws)} the pressure, and the pressure at the start does not bear the weight, "
-        f"{heaviest * size:.3g} Pa over {size:.3g} m: matter sags until the pressure bears it, and the upper "
-        "part is in tension; "
+        f"{heaviest * size:.3g} Pa over {size:.3g} m: the body sags until the pressure bears the weight, "
+        "and its upper part is in tension; "
         'take [initial] equilibrium = "hydrostatic"'
     )
 

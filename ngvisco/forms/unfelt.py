@@ -50,7 +50,7 @@ def require_held(model: Model, orders: Discretisation) -> None:
                 f"{k - 1}, or ",
                 call("Discretisation", k=m + 1, m=m),
                 f", or a viscosity of shear{whose}: with k = {k} "
-                f"and m = {m} nothing else holds motion within its cells, which no variable feels",
+                f"and m = {m} no other stress resists motion within cells",
             )
             raise ParameterError("Discretisation.m", m, *expected)
 
@@ -74,8 +74,8 @@ class Unfelt:
         if unfelt > _SHARE * kinetic and not self.is_said:
             self.is_said = True
             message = (
-                f"{unfelt / kinetic:.0%} of the kinetic energy is motion within cells that nothing feels: "
-                "take discretisation.m = k - 1 (k = 1 for m = 0), or a viscosity that holds it"
+                f"{unfelt / kinetic:.0%} of the kinetic energy is motion within cells that no stress "
+                "resists: take discretisation.m = k - 1 (k = 1 for m = 0), or a viscosity of shear"
             )
             self._ranks.warn(message, InputWarning, stacklevel=4)
         return unfelt

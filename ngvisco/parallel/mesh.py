@@ -9,8 +9,8 @@ from ngvisco.errors import MeshError
 from ngvisco.parallel.communicator import Communicator
 
 CURVED = (
-    "curved cells are distributed with the geometry that they were curved by, which these are not known to "
-    "have: expected a mesh of a Netgen geometry, straight cells, or one process"
+    "curved cells are distributed with their geometry, and the geometry of these cells is unknown: "
+    "expected a mesh of a Netgen geometry, straight cells, or one process"
 )
 _SHAPE = 1e-10
 """Allowed relative difference between the volume and surface of all parts and of the whole mesh."""
@@ -70,7 +70,7 @@ def distributed(mesh: Mesh | None, ranks: Communicator) -> Mesh:
     _curve(part, mesh, ranks)
     if ranks.any(not ranks.is_first and not part.ne):
         cells = int(ranks.total(part.ne))
-        message = f"METIS leaves one of {ranks.size - 1} ranks without any of {cells} cells"
+        message = f"METIS gives one of {ranks.size - 1} ranks none of the {cells} cells"
         raise MeshError(f"{message}: expected fewer ranks, or a finer mesh")
     part.ranks, part.cells = ranks, _numbers(part, ranks)
     return part

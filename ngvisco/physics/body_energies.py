@@ -186,8 +186,8 @@ class InEquilibrium:
         if not len(n):
             return None
         common = "pressure" if self.heat is None else "pressure and temperature"
-        remedy = "a gas without p_infinity presses on what it meets, and matter in tension does not bear that"
+        remedy = "a gas without p_infinity has no common pressure with matter in tension"
         if (n < 0).any():
-            remedy = "orders k = 1, m = 0 make few amounts negative if stiffnesses differ tenfold or more"
+            remedy = "some amounts are negative, and fewer are with the orders k = 1 and m = 0"
         points = f"{len(n)} points, e.g. for the amounts {', '.join(f'{amount:.3g}' for amount in n[0])}"
         return f"bodies have no common {common} at {points}; {remedy}"

@@ -32,9 +32,9 @@ the stress."""
 def parted(material: Material, pair: str, rms: float, largest: float) -> str:
     """The message of a run about a ``pair`` of variables with relative differences."""
     return (
-        f"{pair} differ by {rms:.1%} in the mean square, {largest:.1%} at most: the variables no longer "
-        "belong to one distortion, and the stress is wrong by as much, though the ledger closes; the remedy "
-        f"is {remedy(material)}"
+        f"{pair} differ by {rms:.1%} in the mean square, {largest:.1%} at most. The variables no longer "
+        "belong to one distortion, and the stress is wrong by this share, although the ledger closes; the "
+        f"remedy is {remedy(material)}"
     )
 
 
@@ -113,8 +113,9 @@ def may_part(material: Material, moves: bool) -> str | None:
     if law is None or law.is_by_B or not moves:
         return None
     return (
-        f"by F, det F and J are carried independently, and F winds up where walls move: if they differ by "
-        f'{DRIFT:.0%} in the mean of a cell the run ends; elastic_state = "B" frees no rest energy'
+        "this material carries F and J independently, and det F drifts from J where walls move: the run "
+        "ends "
+        f'if det F and J differ by {DRIFT:.0%} in the mean of a cell. With elastic_state = "B" no run ends so'
     )
 
 
@@ -124,5 +125,5 @@ def remedy(material: Material) -> str:
     if not any(v.frame == "relaxed" for v in material.variables):
         return better
     if isinstance(material, IsotropicElastic):
-        return f'material.elastic_state = "B" where the body flows, in which nothing winds up, or {better}'
-    return f"variables by B = F F^T where the body flows and the energy is isotropic, or {better}"
+        return f'material.elastic_state = "B" for a body that flows, or {better}'
+    return f"variables by B = F F^T for a body that flows and has an isotropic energy, or {better}"

@@ -35,7 +35,7 @@ class WallExchange:
         require_fields(self)
         if (self.potential is None) != (self.coefficient is None):
             missing = "potential" if self.potential is None else "coefficient"
-            expected = "a value: potential and coefficient go together"
+            expected = "a value, since potential and coefficient are given together"
             raise ParameterError(f"WallExchange.{missing}", None, expected)
         if self.potential is None and self.flux is None:
             raise ParameterError("WallExchange.flux", None, "a flux, or a potential and a coefficient")
@@ -72,5 +72,5 @@ class Diffusion:
         conserved = [v.name for v in material.variables if v.kind == "scalar" and v.is_conserved]
         if self.variable not in conserved:
             owner, carried = type(material).__name__, ", ".join(v.name for v in material.variables)
-            expected = f"a conserved scalar of the material: {owner} carries {carried}; such are {conserved}"
+            expected = f"a conserved scalar of the material, one of {conserved}; {owner} carries {carried}"
             raise ParameterError("Diffusion.variable", self.variable, expected)

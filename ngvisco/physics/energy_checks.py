@@ -62,9 +62,7 @@ def check_energy(material: Material) -> None:
         return
     phi, slopes = _of_state(material, *_given(material), material.energy)
     if max(slopes) <= 1e-14 * max(np.abs(sampled(phi))):  # derivatives that cancel leave only rounding
-        expected = (
-            f"an energy that changes with {_names(material)}: this one is a constant, without any stress"
-        )
+        expected = f"an energy that changes with {_names(material)}; the given one is a constant"
         raise ParameterError(*_given(material), expected)
 
 
@@ -90,7 +88,9 @@ def check_bound(material: Material, field: str, function: Callable[..., Coeffici
 
     z_rest, states = rest_state(material, 3), sampling.changed(sampling.fitting())
     if not (value := float(at(z_rest[None])[0])) > 0:
-        raise ParameterError(field, function, f"a function that is positive at rest, where it is {value:.4g}")
+        raise ParameterError(
+            field, function, f"a function that is positive at rest; its value there is {value:.4g}"
+        )
     Q = np.linalg.qr(sampling._rng.standard_normal((3, 3)))[0]
     Q[:, 0] *= np.linalg.det(Q)
     if not np.allclose(at(_turned(material, 3, Q, states)), at(states), rtol=1e-8, equal_nan=True):
@@ -104,8 +104,8 @@ def check_bound(material: Material, field: str, function: Callable[..., Coeffici
         if len(outside):
             point = _text(sampling.named(middle[outside[0]]), " = ")
             expected = (
-                "a function that is positive on a convex set of states, as a concave function is: it is not "
-                f"positive at {point}, half way between two states where it is"
+                "a function that is positive on a convex set of states, as a concave function is; the given "
+                f"one is not positive at {point}, half way between two states at which it is positive"
             )
             raise ParameterError(field, function, expected)
 
@@ -144,9 +144,9 @@ def _of_state(
     if reads_time(phi):
         read.append("the time")
     if read:
-        raise refusal(f"a function of {names} alone; it reads {read[0]}")
+        raise refusal(f"a function of {names} alone; the given one reads {read[0]}")
     if not one_value(sampled(phi)):
-        raise refusal(f"a function of {names} alone; it differs from place to place at one state")
+        raise refusal(f"a function of {names} alone; the given one differs from place to place at one state")
     return phi, [abs(part) for value in z.values() for part in np.ravel(sampled(phi.Diff(value)))]
 
 
@@ -241,7 +241,7 @@ class ConvexityReport:
         if self.point is None or self.direction is None:
             return f"no violation of convexity in {self.samples} samples"
         at, along = _text(self.point, " = "), _text(self.direction, ": ")
-        who = "which a motion can reach" if self.reachable else "which no motion reaches exactly"
+        who = "a motion can reach this state" if self.reachable else "no motion reaches this state exactly"
         where = "the nearest state of the run's start" if self.from_run else "rest"
         far = f"{who}, {self.distance:.2g} from {where} in the norm of all variables"
         return f"not convex at {at} ({far}) in the direction {along}"
@@ -315,7 +315,7 @@ def check_convexity(
     if warn:
         warnings.warn(
             f"{type(material).__name__}: the stored energy is {report}; the scheme stays consistent, "
-            "but its numerical dissipation (the ledger's bregman) may be negative there",
+            "but the numerical dissipation (the ledger's bregman) may be negative at such states",
             ConvexityWarning,
             stacklevel=2,
         )
@@ -440,7 +440,7 @@ def require_isotropy(material: Material) -> None:
     """Raise ParameterError, with a rotation that shows it, if a material's energy depends on the observer."""
     report = check_isotropy(material)
     if not report.passed:
-        expected = f"an energy that no rotation of the observer changes: it {report}"
+        expected = f"an energy that no rotation of the observer changes: the given one {report}"
         raise ParameterError(*_given(material), expected)
 
 

@@ -55,7 +55,7 @@ class WallHeat:
         require_fields(self)
         if (self.temperature is None) != (self.coefficient is None):
             missing = "temperature" if self.temperature is None else "coefficient"
-            expected = "a value: temperature and coefficient go together"
+            expected = "a value, since temperature and coefficient are given together"
             raise ParameterError(f"WallHeat.{missing}", None, expected)
         if self.temperature is None and self.flux is None and self.friction_share == 1:
             expected = "a flux, a temperature and a coefficient, or a share of the friction"

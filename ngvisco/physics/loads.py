@@ -91,7 +91,10 @@ class CentralGravity:
         object.__setattr__(self, "centre", as_place("CentralGravity.centre", self.centre))
         require_fields(self)
         require_effect(
-            self, self.exponent != 0, "with exponent = 0, which is the same at every radius", "radius"
+            self,
+            self.exponent != 0,
+            "with exponent = 0, since the force is then the same at every radius",
+            "radius",
         )
 
     @property

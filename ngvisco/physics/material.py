@@ -297,8 +297,8 @@ def check_material(material: Material) -> None:
         frames = {v.frame: v.name for v in tensors if v.frame is not None}
         if len(frames) > 1:
             expected = (
-                f"tensors of one frame: the creep rate of {frames['relaxed']!r} is that of the relaxed "
-                f'configuration, that of {frames["actual"]!r} of the actual one (take elastic_state = "B")'
+                f"tensors of one configuration: {frames['relaxed']!r} belongs to the relaxed configuration, "
+                f'{frames["actual"]!r} to the actual one (take elastic_state = "B")'
             )
             raise ParameterError(field, names, expected)
 

@@ -126,7 +126,7 @@ class Mixture(Material):
             psi.require()
             softest = min(self.stiffnesses.values())
             if body.parts and not (psi.tensors and 0 < softest < (1 - _SAME) * self.stiffnesses[body.name]):
-                expected = " for a fluid, and for a body that meets nothing more compressible"
+                expected = " for a fluid, and for a body beside which no other body is more compressible"
                 raise ParameterError(f"bodies[{body.name!r}].parts", True, False, expected)
             if psi.reads_parameters_in_volume and not self.has_one_volume:
                 expected = "a bulk modulus that is a number, or bodies with one volumetric energy"
@@ -407,7 +407,7 @@ class Mixture(Material):
     def energy(self, z: Values) -> Tensor:
         if not self.has_one_volume:
             raise NgviscoError(
-                "bodies of different volumetric energies have no expression for theirs: use "
+                "the common energy of bodies with different volumetric energies is no expression: use "
                 "ngvisco.physics.pointwise.respond(material, dim)"
             )
         volumes = self.volumes(z, 1 / self.fractions.total(z))

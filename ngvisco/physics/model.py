@@ -260,7 +260,7 @@ class Model:
             raise ParameterError("Model.heat", self.heat, NO_TEMPERATURE)
         is_custom = part_of(material, Thermal) is None and not isinstance(material, Mixture)
         if entropy is not None and is_custom and not (slope := warming(material, entropy)) > 0:
-            expected = f"an energy convex in the entropy: at rest d theta/d s is {slope:.4g} K, not > 0"
+            expected = f"an energy convex in the entropy; at rest d theta/d s is {slope:.4g} K, not > 0"
             raise ParameterError("Model.material", material, expected)
         if self.heat is not None and self.heat.numerical_heating and material.response(3) is not None:
             expected = (
@@ -269,9 +269,9 @@ class Model:
             )
             raise ParameterError("Heat.numerical_heating", True, False, expected)
         if part_of(material, Damaged) is not None and not material.lagged:
-            known = (call("Damaged", material=...), ", or that in ", call("Thermal", material=...))
+            known = (call("Damaged", material=...), ", alone or within ", call("Thermal", material=...))
             raise ParameterError(
-                "Model.material", self.material, *known, ": no other material knows of damage"
+                "Model.material", self.material, *known, "; other materials cannot wrap a damaged one"
             )
 
     def _take_bodies(self) -> None:
@@ -283,13 +283,14 @@ class Model:
             value = getattr(self, name)
             # ``replace`` of a model with bodies passes the mixture's material and viscosity on
             if not (value is None or isinstance(value, (Mixture, MixedViscosity))):
-                raise ParameterError(f"Model.{name}", value, None, " with bodies, which have theirs")
+                raise ParameterError(f"Model.{name}", value, None, " with bodies, each of which has its own")
         require_names_and_one_rest(self.bodies)
         names = [body.name for body in self.bodies]
         for name in names:
             if (shorter := name.removesuffix("_momentum")) != name and shorter in names:
                 expected = (
-                    f"distinct columns of bodies; those of {name!r} would be the momentum of {shorter!r}"
+                    f"other names, since columns of {name!r} would have the names of the momentum of "
+                    f"{shorter!r}"
                 )
                 raise ParameterError("Model.bodies", names, expected)
         law = self.regularisation
@@ -299,7 +300,7 @@ class Model:
                 ("delta_density", law.delta_density, 0.0),
             ):
                 if number != none:
-                    why = "the density is the sum of theirs, which nothing cuts off or mixes"
+                    why = "their density is a sum, which is neither cut off nor diffused"
                     raise ParameterError(f"Regularisation.{name}", number, none, f" with bodies: {why}")
         for body in self.bodies:
             for part, fault in _faults(body, self.bodies):
@@ -313,7 +314,7 @@ MOST_DENSER = 1e10
 """Ratio of bodies' densities above which the lighter body's momentum in a cell with both bodies is below the
 solver's tolerance, 1e-10."""
 
-_NO_CREEP = Words(None, " with a Network, whose branches have theirs")
+_NO_CREEP = Words(None, " with a Network, whose branches have flow rules of their own")
 
 
 def _faults(body: Body, bodies: Sequence[Body]) -> Iterable[tuple[str, str]]:
@@ -332,22 +333,28 @@ def _faults(body: Body, bodies: Sequence[Body]) -> Iterable[tuple[str, str]]:
     thermal = [member.material for member in warm if isinstance(member.material, Thermal)]
     units = {part.entropy_unit for part in thermal if part.entropy_unit is not None}
     if warm and body not in warm:
-        yield "material", Words(thermal_law, f", as {warm[0].name!r} has: all have one temperature")
+        yield (
+            "material",
+            Words(thermal_law, f" as for {warm[0].name!r}, since all bodies have one temperature"),
+        )
     if body in warm and not isinstance(material, Thermal):
-        yield "material", Words(thermal_law, " itself: other energies do not tell a body's entropy")
+        yield (
+            "material",
+            Words(thermal_law, ", since the entropy of a body does not follow from other energies"),
+        )
     if len(units) > 1:
-        yield "material", f"one entropy_unit for all bodies, not {sorted(units)}: they share one entropy"
+        yield "material", f"one entropy_unit for all bodies, which share one entropy, not {sorted(units)}"
     if heat is not None and not warm:
         yield "heat", NO_TEMPERATURE
     if heat is not None and heat.numerical_heating:
-        together = Words(False, ": the scheme heats all bodies together, see ", Mention("Model.heat"))
+        together = Words(False, ", since the scheme heats all bodies together; see ", Mention("Model.heat"))
         yield "heat.numerical_heating", together
     if getattr(material, "J_min", None) is not None:
-        yield "material", "no J_min: continued below it, the energy is not convex per reference volume"
+        yield "material", "no J_min, since the continued energy is not convex per reference volume"
     for branch, rule in body.rules.items():
         key = "creep" if branch is None else "material"
         if rule.nu:
-            yield key, "nu = 0: the creep of several bodies is local"
+            yield key, "nu = 0, since the creep of several bodies has no gradient term"
         if rule.reads_conjugate or rule.has_trace:
             yield key, "a flow rule that reads no conformation tensor, which no body has"
 
@@ -358,11 +365,14 @@ def _faults_of_damage(
     """Yield the faults of a body with damage, as pairs of the key and the value that would be right."""
     if broken is not material:
         around = call("Damaged", material=...)
-        yield "material", Words(around, " itself: a material around it does not tell a body's damage")
+        yield (
+            "material",
+            Words(around, " itself, since a material around it does not give the damage of the body"),
+        )
     if broken.area == "reference":
-        yield "material.area", "'actual': a body does not carry its distortion since the start"
+        yield "material.area", "'actual', since a body does not carry the distortion from its start"
     if broken.breaking is not None:
-        yield "material.breaking", "None: in a body all branches break together"
+        yield "material.breaking", "None, since all branches of a body break together"
     if any(entropy_in(member.material) is not None for member in bodies):
         yield "material", "a material without damage beside bodies with heat"
 
@@ -373,7 +383,7 @@ def _require_bulk(material: Material) -> None:
     while (inner := getattr(part, "material", None)) is not None:
         part = inner
     if isinstance(K_e := getattr(part, "K_e", None), float) and K_e == 0:
-        expected = "> 0: 0 is for a branch of a Network, whose other branches bear pressure"
+        expected = "> 0; 0 is admitted in a branch of a Network, whose other branches bear pressure"
         raise ParameterError(f"{type(part).__name__}.K_e", K_e, expected)
 
 
@@ -381,7 +391,9 @@ def require_names_of_loads(loads: Sequence[Any]) -> None:
     """Raise ParameterError for a load, or its table in a case file, with the name of an earlier one."""
     for i, name in enumerate(names := [load.name for load in loads]):
         if name in names[:i]:
-            expected = f"a name that no other load has: it names the ledger's column power_{name}"
+            expected = (
+                f"a name that no other load has, since the ledger has a column power_{name} for each load"
+            )
             raise ParameterError(f"loads[{i}].name", name, expected)
 
 
@@ -392,7 +404,7 @@ def require_names_and_one_rest(bodies: Sequence[Any]) -> None:
         if body.name in [earlier.name for earlier in bodies[:i]]:
             raise ParameterError(f"bodies[{i}].name", body.name, "a name that no other body has")
         if body.where is None and rest is not None:
-            expected = f"a place: {rest!r} has none, and fills the rest of the domain"
+            expected = f"a place, since {rest!r} without a place already fills the rest of the domain"
             raise ParameterError(f"bodies[{i}].where", None, expected)
         rest = body.name if body.where is None else rest
 

@@ -107,7 +107,7 @@ class ParameterExpression(ABC):
         return _Operation(pow, (self, float(number)))
 
     def __rpow__(self, base: object) -> ParameterExpression:
-        raise ParameterError("exponent", self, f"a finite number, of the power of {base!r}")
+        raise ParameterError("exponent", self, f"a finite number as the exponent of {base!r}")
 
 
 _SIGNS: dict[Callable[..., Any], str] = {add: "+", sub: "-", mul: "*", truediv: "/"}
@@ -208,7 +208,7 @@ class Parameter(Variable, ParameterExpression):
         if not (self.start is None or number is not None or _is_scalar_function(self.start)):
             raise ParameterError("Parameter.start", self.start, "a finite number or a real scalar function")
         if number is None and self.start is not None and reads_time(self.start):
-            expected = "a function of the initial place; it reads the time, and is carried from the start on"
+            expected = "a function of the initial place alone; the given one reads the time"
             raise ParameterError("Parameter.start", self.start, expected)
         declared(Parameter)["mean"].taken("Parameter.mean", self.mean)
         positive = self.mean in ("geometric", "harmonic")
@@ -302,7 +302,9 @@ def _as_modulus(full: str, value: object, declaration: Declared) -> Modulus:
         expected = f"{declaration.expected}, a function of the initial place, an expression of parameters"
         raise ParameterError(full, value, expected)
     if reads_time(value):
-        expected = "a function of the initial place; it reads the time, as loads and walls may"
+        expected = (
+            "a function of the initial place alone; the given one reads the time, as only loads and walls may"
+        )
         raise ParameterError(full, value, expected)
     mean: Any = declaration.mean or ("geometric" if is_positive else "root")
     parameter = Parameter(full.rpartition(".")[2], start=value, typical=1.0, mean=mean)
@@ -330,7 +332,7 @@ def distinct(parameters: Iterable[Parameter]) -> tuple[Parameter, ...]:
     for parameter in parameters:
         namesake = by_name.setdefault(parameter.name, parameter)
         if namesake is not parameter and not (namesake == parameter and namesake.start is parameter.start):
-            expected = "one parameter, or names of their own for two"
+            expected = "distinct names for different parameters"
             raise ParameterError("Parameter.name", parameter.name, expected)
     return tuple(by_name.values())
 
@@ -441,8 +443,8 @@ def _operand(value: object) -> ParameterExpression | float:
     if number is None:
         value = "a function of the place" if isinstance(value, CoefficientFunction) else value
         expected = (
-            "numbers and parameters; a function of the initial place is a parameter too, nv.Parameter(name, "
-            "start=...), and no modulus is a function of the actual place"
+            "numbers and parameters; a function of the initial place is written as nv.Parameter(name, "
+            "start=...), and a modulus cannot be a function of the actual place"
         )
         raise ParameterError("expression of parameters", value, expected)
     return number

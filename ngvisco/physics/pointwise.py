@@ -208,7 +208,7 @@ class ExpressionResponse:
                 f"{type(self.material).__name__}.{field}",
                 getattr(self.material, field),
                 "an energy written with the functions of ngvisco.physics.tensors, or one whose second "
-                f"derivative NGSolve gives rightly: it is off by {off.max() / size.max():.2g} of its size",
+                f"derivative NGSolve computes; its relative error is {off.max() / size.max():.2g} here",
             )
 
 

@@ -87,7 +87,9 @@ class RateTensors:
         for v in variables:
             part = states.slices[v.name]
             if _differ(np.tensordot(mixed, rates[:, part], 1), of_mixed[part]):
-                expected = "linear in L and Pi together; any other part of the rate belongs in a term"
+                expected = (
+                    "a rate that is linear in L and Pi together; write any other part of the rate as a term"
+                )
                 raise ParameterError(f"{type(v).__name__}.rate", v.name, expected)
             affine = result.rate(values[:, samples], mixed[:, None])
             if _differ(affine[part], of_mixed[part, samples]):

@@ -77,7 +77,7 @@ class Regularisation:
         require_effect(self, self.rho_max is not None, "without rho_max", "width")
         require_effect(self, diffuses or self.delta_fields > 0, "without a diffusion", "penalty")
         smooths = (diffuses and not is_even(self.r)) or (rubs and not is_even(self.p))
-        require_effect(self, smooths, "where no power is other than an even integer", "floor")
+        require_effect(self, smooths, "where all powers are even integers", "floor")
 
     @property
     def bends_the_flux(self) -> bool:
@@ -187,8 +187,8 @@ def curvature_of(material: Material, dim: int) -> Curvature:
         raise ParameterError(
             "Regularisation.delta_fields",
             f"{type(material).__name__}, whose phi'' at rest has the least eigenvalue {least * scale:.3g} Pa",
-            "an energy with a positive definite phi'' in the variables that it is not linear in, for one "
-            "material by WithQuadratic, for several bodies by one volumetric energy",
+            "an energy with a positive definite phi'' in all variables in which it is not linear (one "
+            "material: take WithQuadratic; several bodies: take one volumetric energy)",
         )
     inverse = np.linalg.inv(at_rest + linear)
     projection, compliance = np.zeros((2, len(strains), len(strains)))

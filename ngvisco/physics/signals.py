@@ -148,7 +148,9 @@ def may_read_time(function: CoefficientFunction) -> bool:
 
 def _checked(name: str, rows: np.ndarray) -> np.ndarray:
     if len(rows) < 2 or rows.shape[1] < 2:
-        raise ParameterError(name, f"{len(rows)} rows of {rows.shape[1]} numbers", "two rows of two at least")
+        raise ParameterError(
+            name, f"{len(rows)} rows of {rows.shape[1]} numbers", "at least two rows of two numbers"
+        )
     if not np.isfinite(rows).all():
         raise ParameterError(name, "a number that is not finite", "finite numbers")
     times = rows[:, 0]
@@ -162,10 +164,12 @@ def _rows_from(times: Sequence[float], values: Sequence[float] | Sequence[Sequen
     try:
         first, rows = np.array(times, dtype=float), np.array(values, dtype=float)
     except (TypeError, ValueError):
-        raise ParameterError("table", (times, values), "times, and as many values or rows of them") from None
+        raise ParameterError(
+            "table", (times, values), "times, and one value or one row of values for each time"
+        ) from None
     if first.ndim != 1 or rows.ndim not in (1, 2) or len(first) != len(rows):
         shapes = f"{first.shape} times, values of shape {rows.shape}"
-        raise ParameterError("table", shapes, "times, and as many values or rows of them")
+        raise ParameterError("table", shapes, "times, and one value or one row of values for each time")
     return np.column_stack([first, rows])
 
 
@@ -185,6 +189,9 @@ def _rows_of(path: str) -> np.ndarray:
             expected = f"numbers in line {number} of {path!r}"
             raise ParameterError("table", ",".join(parts), expected) from None
         if len(rows[-1]) != len(rows[0]):
-            count, expected = f"{len(rows[-1])} numbers", f"{len(rows[0])} in line {number} of {path!r}, too"
+            count, expected = (
+                f"{len(rows[-1])} numbers",
+                f"{len(rows[0])} numbers in line {number} of {path!r}, as in the lines before",
+            )
             raise ParameterError("table", count, expected)
     return np.array(rows).reshape(len(rows), -1 if rows else 0)

@@ -40,7 +40,8 @@ class Couplings:
     def __init__(self, step: Step) -> None:
         if names := step.tabulated_rates.tensors.nonlinear_variables:
             expected = (
-                f"the rate of {names[0]!r} is not linear in the variables, as the split solver needs it"
+                f"the rate of {names[0]!r} is not linear in the variables; the split solver requires a "
+                "linear rate"
             )
             raise ParameterError("Variable.rate", names[0], expected)
         self.at_points: list[PointTerm] = []  # evaluated by arrays
@@ -145,11 +146,11 @@ def _rows_at_points(step: Step, term: PointTerm) -> TermRows:
     try:
         rows = OnePoint(step).rows(term)
     except NotAtPointsError as error:
-        reason = f"{error}; with rows of the flow alone it is taken by its form: say couples = 'flow'"
+        reason = f"{error}; if the term has rows of v alone, declare couples = 'flow', and its form is used"
         raise _refused(term, reason) from error
     names = in_cells(step.layout)
     if unknown := set(rows.names) - {*names, *(f"grad {name}" for name in names)}:
-        raise _refused(term, f"no array takes its rows of {', '.join(sorted(unknown))}: say couples = 'flow'")
+        raise _refused(term, f"rows of {', '.join(sorted(unknown))} have no arrays: declare couples = 'flow'")
     return rows
 
 
@@ -162,9 +163,9 @@ def _require_arrays(step: Step, term: Any) -> None:
             moduli = [*law.moduli(z)]
             moduli += [law.linear(z)] if law.is_linear else [law.coefficient(one, z), law.slope(one, z)]
     except Exception as error:  # a user's law may raise anything
-        raise _refused(term, f"its law does not take arrays: {why(error)}") from error
+        raise _refused(term, f"its law cannot be evaluated with arrays: {why(error)}") from error
     if not all(isinstance(value, (int, float, Array)) for value in moduli):
-        raise _refused(term, "its coefficients are not made of the variables' values alone")
+        raise _refused(term, "its coefficients depend on more than the variables' values")
 
 
 def _require_flow_rows(step: Step, term: Term) -> set[str]:
@@ -175,7 +176,7 @@ def _require_flow_rows(step: Step, term: Term) -> set[str]:
     layout, names = step.layout, Unknowns(step).velocity_block
     trial, test = layout.space.TnT()
     tests = {name: part for name, part in zip(layout.names, test, strict=True) if name in names}
-    reason = "it has a row of {name}, and the split solver takes forms with rows of the flow only"
+    reason = "the term has a row of {name}, but the split solver takes forms with rows of v alone"
     context: Any = AskedContext(layout.context)
     u = Fields(layout, dict(zip(layout.names, trial, strict=True)), context)
     with refused_by_name(term):

@@ -130,7 +130,7 @@ class OnePoint:
         except NotAtPointsError:
             raise
         except Exception as error:  # a user's term may raise anything
-            raise NotAtPointsError(f"it does not take arrays ({why(error)})") from error
+            raise NotAtPointsError(f"the term cannot be evaluated with arrays ({why(error)})") from error
 
 
 def _require_dissipation(term: PointTerm, u: Fields) -> None:
@@ -150,16 +150,16 @@ def _require_dissipation(term: PointTerm, u: Fields) -> None:
 
 
 _DISSIPATED = (
-    "dissipated_on_facets(u) has to return functions of the values u at a point by the ledger's names, with "
-    "operations that arrays have too; it does not take arrays"
+    "dissipated_on_facets(u) cannot be evaluated with arrays: expected functions of the values u at a point, "
+    "by the ledger's names, with operations that arrays have"
 )
 
 
 def why(error: Exception) -> str:
     """One line that describes an error of a term or a law that was evaluated with arrays."""
     if isinstance(error, AttributeError) and isinstance(error.obj, SimpleNamespace):
-        return f"there is no {error.name} by arrays"
+        return f"there is no array of {error.name}"
     lines = str(error).splitlines() or [""]
     if "incompatible function arguments" in lines[0]:
-        return "it combines values with a coefficient function of its own"
+        return "values are combined with another coefficient function"
     return f"{type(error).__name__}: {lines[0]}"

@@ -22,10 +22,14 @@ class RightHandSide:
         names = Unknowns(step).names
         space = FESpace([step.layout.blocks[name] for name in names])
         u = GivenParts(
-            {}, "a source takes the unknown {name}, which the split solver does not know beforehand"
+            {},
+            "a source reads the unknown {name}; for the split solver a source depends on place and time "
+            "alone",
         )
         tests = dict(zip(names, space.TestFunction(), strict=True))
-        w = GivenParts(tests, "a source has a row of {name}, which the split solver does not iterate on")
+        w = GivenParts(
+            tests, "a source has a row of {name}, which is no iterated unknown of the split solver"
+        )
         self._form = LinearForm(space)
         integrands: list[Integrand] = step.sources.form(Fields(step.layout, u), Tests(step.layout, w))
         step.quadrature.add(self._form, integrands)

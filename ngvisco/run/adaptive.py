@@ -35,7 +35,7 @@ def growth_message(step: Step, row: Mapping[str, float]) -> str:
     return Words(
         f"in the step of {row['dt']:.3g} s to t = {row['time']:.4g} s the damage grew by {row[GROWTH]:.2g} "
         f"at a point, and cracks by {row[CRACKED]:.3g} {unit}, {row[CRACKED] / size:.2g} {symbol}: the load "
-        "at which the body breaks depends on the step's length; take shorter steps there, as ",
+        "at which the body breaks depends on the step's length; take shorter steps as damage grows, which ",
         call("AdaptiveSteps", damage_growth=0.05),
         " does",
     )
@@ -85,7 +85,12 @@ class GrowthControl:
     def require(self, step: Step) -> None:
         """Raise ParameterError if growth is bounded and the material does not break."""
         if self.most is not None and step.damage is None:
-            expected = (None, " for a material that does not break; ", call("Damaged", material=...), " does")
+            expected = (
+                None,
+                " for a material without damage; ",
+                call("Damaged", material=...),
+                " has damage",
+            )
             raise ParameterError("AdaptiveSteps.damage_growth", self.most, *expected)
 
     def allowed(self, tau: float, rates: Mapping[str, float], safety: float) -> float:

@@ -148,10 +148,10 @@ class Scales:
         (fast, slow), lines = self.speeds, []
         name = "shear" if slow > 0 else "longitudinal"
         if math.isfinite(self.passage) and self.dt * _FOLLOWED > self.passage and not self.is_slow:
-            does = "damps them" if self.scheme.order == 1 else "does not resolve them"
+            does = "damps these waves" if self.scheme.order == 1 else "does not resolve these waves"
             lines.append(
                 f"{name} waves cross the domain in {self.passage:.2g} s, {self.passage / self.dt:.2g} "
-                f"steps: the scheme {self.scheme.name} {does}; to follow them take "
+                f"steps: the scheme {self.scheme.name} {does}; to resolve the waves take "
                 f"dt <= {self.passage / _FOLLOWED:.2g} s"
             )
         hard = fast * self.dt / self.cell
@@ -160,7 +160,8 @@ class Scales:
             shorter = "" if self.is_slow else f", or dt <= {_RINGING * self.cell / fast:.2g} s"
             lines.append(
                 f"longitudinal waves cross {hard:.3g} cells a step, which {self.scheme.name} does not damp: "
-                f"they ring from step to step; take {euler}another scheme ('sdirk2' damps them){shorter}"
+                f"the waves oscillate from step to step; take {euler}another scheme ('sdirk2' damps "
+                f"waves){shorter}"
             )
         return lines
 
@@ -173,7 +174,7 @@ class Scales:
             spare = _SMALL / self.weight if self.weight > 0 else ratio / _STIFF
             if spare >= 2:
                 least = max(1 / spare, _STIFF / ratio)
-                less = f"a K_e of {least:.1g} of this one is still stiff enough"
+                less = f"{least:.1g} times the K_e is still stiff enough"
                 remedies.append(less + (" for the weight" if self.weight > 0 else ""))
             lines.append(
                 f"the modulus of compression is {ratio:.2g} times that of shear: steps are hard to solve"
@@ -182,20 +183,20 @@ class Scales:
         if self.k == 1 and slow > 0 and _LOCKS < (fast / slow) ** 2 <= _STIFF:
             lines.append(
                 f"the longitudinal modulus is {(fast / slow) ** 2:.2g} times that of shear: cells of order "
-                "one lock, and hold motions at constant volume, unless they are crossed rectangles "
+                "one lock, and resist motions at constant volume, unless the cells are crossed rectangles "
                 "(structured_box in the plane, crossed = true); compare with k = 2"
             )
         if self.weight > _SINKS:
             lines.append(
-                f"the weight is {self.weight:.2g} of the modulus of compression: it makes a column shorter "
-                f"by about {50 * self.weight:.2g} %; where matter hardly yields take a larger K_e"
+                f"the weight is {self.weight:.2g} of the modulus of compression, and shortens a column by "
+                f"about {50 * self.weight:.2g} %; for matter that is hardly compressible take a larger K_e"
             )
         is_denser = self.densities > _DENSER * (1 + 1e-6)
         if is_denser:
             lines.append(
-                f"densities differ {self.densities:.2g} times: where their boundary moves through cells what "
-                "is light is thrown about, and steps are hard to solve; take a ratio up to "
-                f"{_DENSER:g}, and what is light as viscous as the other"
+                f"densities differ by the factor {self.densities:.2g}: cells that the interface passes "
+                "accelerate the lighter body strongly, and steps are hard to solve; take a ratio up to "
+                f"{_DENSER:g}, and a lighter body as viscous as the other"
             )
         if is_denser and not self.one_bulk_energy:
             lines.append(
@@ -205,8 +206,8 @@ class Scales:
             )
         if self.overstress > _ABOVE_YIELD:
             lines.append(
-                f"at the rate v/L the stress is {self.overstress:.2g} of the yield stress above it: to hold "
-                f"it there take a G_m {self.overstress / _ABOVE_YIELD:.2g} times smaller"
+                f"at the rate v/L the stress exceeds the yield stress by {self.overstress:.2g} of the yield "
+                f"stress; for a smaller excess take a G_m {self.overstress / _ABOVE_YIELD:.2g} times smaller"
             )
         return lines
 
@@ -214,7 +215,7 @@ class Scales:
         lines = []
         passed, most = self.velocity * self.dt / self.cell, FAR if self.is_sharp else 1.0
         if passed > most:
-            astray = "with discretisation.sharp = true interfaces that move so fast go astray, "
+            astray = "with discretisation.sharp = true such steps displace interfaces; "
             lines.append(
                 f"matter moves by {passed:.2g} cells a step: {astray * self.is_sharp}"
                 f"{'steps are hard to solve and upwinding smears; ' * (passed > 1)}"
@@ -222,8 +223,8 @@ class Scales:
             )
         if self.maxwell < _RELAXED * self.dt * (1 - 1e-6):  # moduli by finite differences have rounding
             lines.append(
-                f"stress relaxes in {self.maxwell:.2g} s, {self.maxwell / self.dt:.2g} steps: only the end "
-                f"of its relaxation is seen; to follow it take dt <= {self.maxwell / _RELAXED:.2g} s"
+                f"stress relaxes in {self.maxwell:.2g} s, {self.maxwell / self.dt:.2g} steps: the steps "
+                f"do not resolve this relaxation; to resolve it take dt <= {self.maxwell / _RELAXED:.2g} s"
             )
         lines += filter(None, (self.parting, self.unborne))
         return lines

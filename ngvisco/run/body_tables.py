@@ -196,7 +196,11 @@ class Bodies(Series):
         bodies = require_bodies("Bodies", material)
         needs = [name for name in self.measures if name in _PLANE]
         if dim != 2 and needs:
-            raise ParameterError("Bodies.measures", needs[0], "stress or traction in 3D: it needs an outline")
+            raise ParameterError(
+                "Bodies.measures",
+                needs[0],
+                "no stress or traction in 3D, since they are integrals along an outline",
+            )
         axes = "xyz"[:dim]
         units = {"mass": "kg", "volume": "m^d", **dict.fromkeys(axes, "m")}
         units |= {f"momentum_{axis}": "kg m/s" for axis in axes}
@@ -212,9 +216,7 @@ class Bodies(Series):
         self._units = {f"{name}_{quantity}": unit for name in names for quantity, unit in units.items()}
         if "gap" in self.measures:
             if len(self._placed) < 2:
-                raise ParameterError(
-                    "Bodies.measures", "gap", "two bodies at least that have a place (where)"
-                )
+                raise ParameterError("Bodies.measures", "gap", "at least two bodies with a place (where)")
             self.pairs = {f"gap_{one}_{other}": (one, other) for one, other in combinations(self._placed, 2)}
             self._units |= dict.fromkeys(self.pairs, "m")
         parts = (part for name in names for part in densities(step, name, step.now).values())
@@ -246,7 +248,7 @@ class Bodies(Series):
         """Columns that have no derivative with respect to the state, with the reason."""
         axes = "xyz"[: self.fractions.dim]
         extents = [f"{axis}_{end}" for axis in axes for end in ("min", "max")]
-        reasons = dict.fromkeys(extents, "an extent jumps from point to point of the quadrature")
+        reasons = dict.fromkeys(extents, "an extent jumps between points of the quadrature")
         reasons["smeared"] = "the width of an interface counts parts of cells"
         return {f"{name}_{column}": why for name in self.names for column, why in reasons.items()}
 
@@ -307,15 +309,15 @@ class Bodies(Series):
                 continue
             if width > _WIDE:
                 message = (
-                    f"the interface of the body {name!r} is {width:.2g} cells wide: it dissolves; take "
+                    f"the interface of the body {name!r} is {width:.2g} cells wide and widens further; take "
                     "smaller cells, discretisation.m = 2, or an earlier end"
                 )
                 self._warn(simulation, name, message, SmearedWarning)
             ends = np.zeros((0, 2, 5)) if self.fractions.dim != 2 else self.fractions.cut(name).ends
             if (cells := facing(ends, self.fractions.periods.images)) < np.inf:
                 message = (
-                    f"parts of the outline of the body {name!r} face each other at {cells:.2g} cells: they "
-                    "bear each other before they touch, and may stick; take smaller cells there"
+                    f"parts of the outline of the body {name!r} face each other at {cells:.2g} cells. "
+                    "Such parts push each other before they touch, and may stick; take smaller cells there"
                 )
                 self._warn(simulation, name, message, SelfContactWarning)
 
@@ -329,7 +331,7 @@ class Bodies(Series):
 def require_bodies(owner: str, material: Any) -> tuple[Any, ...]:
     """The bodies of a model's material; raises ParameterError for a material without bodies."""
     if not isinstance(material, Mixture):
-        expected = (Mention("Model.bodies"), ", which it would measure")
+        expected = (Mention("Model.bodies"), ", since the table is of bodies")
         raise ParameterError(f"{owner}.model", type(material).__name__, *expected)
     return material.bodies
 

@@ -53,7 +53,7 @@ class Contours(Series):
         bodies = require_bodies("Contours", simulation.model.material)
         if simulation.mesh.dim != 2:
             raise ParameterError(
-                "Contours.bodies", self.bodies, "no contours in 3D: surfaces are in ParaView"
+                "Contours.bodies", self.bodies, "no contours in 3D; ParaView can draw the surfaces"
             )
         numbers = {body.name: number for number, body in enumerate(bodies, start=1)}
         for name in self.bodies or ():

@@ -157,11 +157,13 @@ def _held(model: Model, history: Sequence[Attempt]) -> list[str]:
     if not any(attempt.solution.status is Status.ROUNDING for attempt in history):
         return []
     lines = [
-        "springs, walls.NAME.stiffness, a larger density, or solver.tolerance = 1e-8: rounding moves what "
-        "only inertia holds, by more in shorter steps"
+        "springs, walls.NAME.stiffness, a larger density, or solver.tolerance = 1e-8: rounding moves a "
+        "stiff body that only inertia resists, and more so in shorter steps"
     ]
     if part_of(model.material, Thermal) is not None:
-        lines.append("thermal.theta_R, to the start's temperature: small entropies have little rounding")
+        lines.append(
+            "thermal.theta_R near the temperature at the start, since a small entropy has little rounding"
+        )
     return lines
 
 
@@ -194,7 +196,7 @@ def _advice(simulation: RunState, violation: Violation | None, courant: float, r
     if violation is None:
         if domain:
             bounds = " and ".join(f"{name} > 0" for name in domain)
-            lines.append(f"an energy that has values further than {bounds}, or less load")
+            lines.append(f"an energy with values beyond {bounds}, or less load")
         elif (met := simulation.rothe_step.energy.last_failure) is not None:
             lines.insert(0, f"the material, or less load: {met}")
         creep = model.creep
@@ -207,16 +209,16 @@ def _advice(simulation: RunState, violation: Violation | None, courant: float, r
     near = "there" if violation.wall is None else f"near {violation.wall!r}"
     lines.append(f"a finer mesh {near}, or data that are smooth there (walls that meet with one velocity)")
     if violation.quantity in domain:
-        return [*lines, f"an energy that has values further than {violation.quantity} > 0, or less load"]
+        return [*lines, f"an energy with values beyond {violation.quantity} > 0, or less load"]
     if violation.quantity != "rho":
         lines.append("an energy that rises faster as the volume goes to zero (material.epsilon, kappa)")
         lines.append("material.J_min or a Yosida approximation, with which a run may pass J = 0")
     variables = model.material.variables
     distortion = next((v for v in variables if isinstance(v, Distortion)), None)
     if distortion is not None and violation.quantity == f"det {distortion.name}":
-        lines.append('material.elastic_state = "B" where the body flows: F winds up there')
+        lines.append('material.elastic_state = "B" for a body that flows')
     if any(isinstance(v, LeftCauchyGreen) for v in variables) and model.creep is None:
-        lines.append("creep where the body flows, which lets B relax")
+        lines.append("creep for a body that flows, since B then relaxes")
     return lines
 
 

@@ -52,7 +52,7 @@ USUAL = ("density", "J", "velocity", "pressure", "von_mises", "temperature")
 _OWN = ("velocity", "density", "cauchy_stress", "pressure", "pressure_from_rest", "von_mises")
 """Fields of every run."""
 
-_TAKEN = "another name: a field of the run has this one"
+_TAKEN = "another name, since a field of the run has this name"
 
 
 def require_names_of_their_own(material: Material, further: Sequence[str], carried: Sequence[str]) -> None:

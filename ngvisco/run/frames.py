@@ -184,7 +184,7 @@ def read_pvd(path: Path) -> list[tuple[float, str]]:
     except ValueError as error:
         raise CheckpointError(f"{path}: not a readable file of a VTK series ({error})") from error
     if not series:
-        raise CheckpointError(f"{path}: not a file of a VTK series, or one without states; move it away")
+        raise CheckpointError(f"{path}: not a file of a VTK series with states; move the file away")
     return series
 
 

@@ -121,15 +121,15 @@ class Inlets:
                     meeting = f"their deviators differ by {difference:.3g} Pa, with {size:.3g} Pa at the wall"
             if meeting:
                 return (
-                    f"at t = {row['time']:.4g} s the inflow through {name!r} by the {given} that are "
-                    f"given has another stress than the body inside: {meeting}, and a jump stays at "
-                    "the wall; give values (and a density) that belong to the stress at the wall, or no "
-                    "values: matter then comes in with the values inside"
+                    f"at t = {row['time']:.4g} s the inflow through {name!r} with the given "
+                    f"{given} has another stress than the body inside: {meeting}, and a jump stays at "
+                    "the wall. Give values (and a density) that belong to the stress at the wall, or no "
+                    "values; incoming matter then has the values inside"
                 )
         for name in self._unknown:
             if self._entered[name] > _MATTERS * row["mass"]:
                 return (
-                    f"at t = {row['time']:.4g} s a fluid comes in through {name!r} at a pressure, and with "
+                    f"at t = {row['time']:.4g} s a fluid comes in through {name!r} at a pressure, but with "
                     "the density of the cell inside, since the material has no rho_R that belongs to the "
                     "pressure; give rho_R, or the wall's density and values"
                 )

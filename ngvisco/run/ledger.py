@@ -125,7 +125,7 @@ class Ledger:
         self.entries = [*step.entries(), *of_scheme, *of_damage]
         names = [entry.name for entry in self.entries]
         if twice := [name for name in names if names.count(name) > 1]:
-            raise ParameterError("Entry.name", twice[0], "names that no other term's columns have")
+            raise ParameterError("Entry.name", twice[0], "a name that no other term's column has")
         integrands = {**energies(step, step.now), "mass": Integrand(step.now.rho)} | self.momentum.densities()
         of_state = {name: Entry(name, "monitor", value) for name, value in integrands.items()}
         of_state |= {e.name: e for e in self.entries if e.kind == "monitor"}
@@ -215,7 +215,7 @@ class Ledger:
         self.step.energy.require()
         values = self.state()
         if bad := [name for name, value in values.items() if not math.isfinite(value)]:
-            raise InitialDataError(bad[0], values[bad[0]], "a number: the state has none there")
+            raise InitialDataError(bad[0], values[bad[0]], "a finite value at the start")
         energy = energy_of(values)
         self.balance = Balance(energy, values["mass"], values["mass"])
         row = self._idle() | values | dict.fromkeys(("dt", "closure", "closure_relative", "mass_drift"), 0.0)

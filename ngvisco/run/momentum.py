@@ -225,10 +225,10 @@ class Momentum:
         parts = {where: float(np.abs(self._array(row, f"defect_{where}")).max()) for where in DEFECTS}
         where = max(parts, key=lambda name: parts[name])
         return (
-            f"at t = {row['time']:.4g} s the scheme has made {row[RELATIVE]:.1%} of the momentum that there "
-            f"is of nothing, in the last step most by {_CAUSES[where]}: the body is moved by forces that no "
-            "load, wall or stress accounts for, though the energy's ledger closes; take a finer mesh where "
-            "what is carried jumps, and shorter steps"
+            f"at t = {row['time']:.4g} s the scheme itself has created {row[RELATIVE]:.1%} of the "
+            f"present momentum, in the last step most by {_CAUSES[where]}. The body moves by forces that "
+            "belong to no load, wall or stress, although the energy's ledger closes; take a finer mesh where "
+            "carried variables jump, and shorter steps"
         )
 
 

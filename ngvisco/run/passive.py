@@ -86,7 +86,7 @@ class PassiveFields:
         if "creep_strain" in self.names:
             rates = step.context.rates.mean_creep(step.now)
             if not rates:
-                raise ParameterError("passive", "creep_strain", "a model with creep, whose strain it is")
+                raise ParameterError("passive", "creep_strain", "a model with creep, or no creep strain")
             for suffix, Pi in rates.items():
                 self._add_group(f"creep_strain{suffix}", 1, flow)
                 self._sources[f"creep_strain{suffix}_1"] = sqrt(2 / 3 * square(Pi))
@@ -150,11 +150,10 @@ class PassiveFields:
             self._has_warned = True
             names = ", ".join(sorted(self._unsolved))
             message = (
-                f"passive fields were not solved in {ITERATIONS} iterations: {names}; the step is what it"
+                f"passive fields were not solved in {ITERATIONS} iterations: {names}. The step itself is "
+                "solved, "
             )
-            message += (
-                " is without them, and the ledger's column passive_unsolved counts them: take smaller steps"
-            )
+            message += "and the ledger's column passive_unsolved counts these fields; take smaller steps"
             Communicator.of(self.step.mesh).warn(message, InputWarning, stacklevel=2)
 
     def end(self, weights: np.ndarray) -> None:

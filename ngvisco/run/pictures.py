@@ -150,7 +150,7 @@ class CrossSection:
 def require_space(section: CrossSection | None, dim: int) -> None:
     """Raise ParameterError for a section of a mesh of two dimensions."""
     if section is not None and dim != 3:
-        raise ParameterError("section", section.normal, "none: the mesh has two dimensions")
+        raise ParameterError("section", section.normal, "no section, since the mesh has two dimensions")
 
 
 def titled(*parts: str | float) -> str:

@@ -236,7 +236,9 @@ class Integrals(Series):
         self._integrand = CF(tuple(integrand(name, value) for name, value in self.integrands.items()))
         for name, value in zip(self.integrands, self._totals(simulation), strict=True):
             if not np.isfinite(value):
-                expected = f"an integrand that is finite; at t = {simulation.t:g} s its integral is {value}"
+                expected = (
+                    f"an integrand with a finite integral; at t = {simulation.t:g} s the integral is {value}"
+                )
                 raise ParameterError(f"Integrals.integrands[{name!r}]", self.integrands[name], expected)
         return list(self.integrands)
 

@@ -82,7 +82,9 @@ class Refinement:
         """Raise MeshError, ParameterError or UnknownNameError unless meshes of a run can follow the field."""
         mesh = simulation.mesh
         if not simulation.ranks.all(is_simplicial(mesh)):
-            raise MeshError("only triangles and tetrahedra are bisected; this mesh has other cells")
+            raise MeshError(
+                "expected a mesh of triangles or tetrahedra, since other cells cannot be bisected"
+            )
         simulation.stepper.check("Refinement.every", self.every)
         self.steep(simulation)
         require_fit(simulation, simulation)  # a state has to fit later meshes in the same way

@@ -138,7 +138,7 @@ class Series(ABC):
             for column, value in zip(self.columns, row, strict=True):
                 if not math.isfinite(value) and not (math.isnan(value) and self.may_be_nan(column)):
                     sentence = f"{type(self).__name__}: {self._said(column, row)} is {value}"
-                    raise NotANumberError(f"{sentence} at t = {simulation.t:g} s, and has to be a number")
+                    raise NotANumberError(f"{sentence} at t = {simulation.t:g} s; expected a number")
         self._add(rows, simulation)
 
     def _said(self, column: str, row: list[float]) -> str:
@@ -160,7 +160,9 @@ def read_series(path: Path, columns: Sequence[str]) -> list[list[float]]:
         return []
     table = read_columns(path)
     if list(table) != list(columns):
-        raise CheckpointError(f"{path}: has other columns than this run writes; move it away to go on")
+        raise CheckpointError(
+            f"{path}: the table has other columns than this run writes; move the file away to go on"
+        )
     return [[int(row[0]), *row[1:]] for row in np.transpose(list(table.values())).tolist()]
 
 
@@ -172,4 +174,6 @@ def read_columns(path: Path) -> dict[str, np.ndarray]:
         rows = np.array(body, dtype=float).reshape(len(body), len(head))
         return dict(zip(head, rows.T, strict=True))
     except (ValueError, csv.Error) as error:
-        raise CheckpointError(f"{path}: not a table of numbers ({error}); move it away to go on") from error
+        raise CheckpointError(
+            f"{path}: not a table of numbers ({error}); move the file away to go on"
+        ) from error

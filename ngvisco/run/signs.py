@@ -111,8 +111,8 @@ class Signs:
             where = self._sampler.largest_in_words(-power, shares)
             if name == CREEP_POWER:
                 message = (
-                    f"at t = {time:.4g} s creep gives energy, M : Pi = {least:.3g} W/m^3, most "
-                    f"{where}: {self._cause()}, though the ledger closes"
+                    f"at t = {time:.4g} s creep produces energy, M : Pi = {least:.3g} W/m^3, most "
+                    f"{where}: {self._cause()}, although the ledger closes"
                 )
                 self._warn(message, CreepPowerWarning)
             elif least < -_NEGATIVE * largest:
@@ -142,10 +142,10 @@ class Signs:
     def _say(self, name: str, power: str, time: float) -> None:
         cause = "a law has the wrong sign there"
         if name == UPWINDING and self._step.layout.states.strains.all():
-            cause = "the cells are too large for what jumps, or the energy is not convex"
+            cause = "the cells are too large for jumping variables, or the energy is not convex"
         elif name == UPWINDING:
-            cause = "a carried modulus that jumps is smeared, in which the energy is not convex"
-        message = f"at t = {time:.4g} s {name} gives energy, {power}: {cause}, though the ledger closes"
+            cause = "a carried modulus jumps, and the energy is not convex in the modulus"
+        message = f"at t = {time:.4g} s {name} produces energy, {power}: {cause}, although the ledger closes"
         self._warn(message, DissipationWarning)
 
     def _check_entropy(self, row: Mapping[str, float]) -> None:
@@ -159,9 +159,9 @@ class Signs:
             share, rounding = _MISSED, _NEGATIVE * rate
         if productions and productions[least] < -share * sum(map(abs, productions.values())) - rounding:
             message = (
-                f"at t = {row['time']:.4g} s {least} is {productions[least]:.3g} W/K: where that is "
-                "conduction, the cells are too large for the slopes of the temperature; else a law gives "
-                "energy"
+                f"at t = {row['time']:.4g} s {least} is {productions[least]:.3g} W/K: for "
+                "conduction, the cells are too large for the slopes of the temperature; for another "
+                "mechanism, its law produces energy"
             )
             self._warn(message, EntropyWarning)
 
@@ -176,7 +176,7 @@ def cause_of_negative_power(step: Step, sampler: Sampler) -> str:
             least = sampler.extrema(expression.at(step.now.z_tensors))[0]
             if least < 0:
                 return (
-                    f"{name} is {least:.3g} at a point: a parameter that is carried as its arithmetic mean "
-                    'overshoots where it jumps; nv.Parameter(mean="geometric") does not change its sign'
+                    f"{name} is {least:.3g} at a point: a parameter with an arithmetic mean in cells "
+                    'overshoots where it jumps; nv.Parameter(mean="geometric") keeps the sign'
                 )
-    return "its flow rule is none"
+    return "the flow rule does not dissipate for every stress"

@@ -128,7 +128,9 @@ class Simulation(RunState):
         time = time_steps(time, steps)
         check_arguments(observers, walls, passive, sources, terms)
         if model.heat is not None and model.heat.numerical_heating and time.made.A != ((1.0,),):
-            expected = f" for {time.made.name!r}: at a point only that of backward Euler is known"
+            expected = (
+                f" for {time.made.name!r}, since only backward Euler has a known dissipation at each point"
+            )
             raise ParameterError("Heat.numerical_heating", True, False, expected)
         ranks = Communicator.world() if mesh.comm.size == 1 else Communicator.of(mesh)
         require_petsc(ranks)
@@ -185,8 +187,10 @@ class Simulation(RunState):
         error's ``report`` says where and why the step failed.
         """
         if self.mesh.ne != self._cells_here:
-            message = f"the mesh has {self.mesh.ne} cells, and {self._cells_here} when the run was made"
-            raise MeshError(f"{message}: take the refined one for another run, and nv.transfer the state")
+            message = f"the mesh has {self.mesh.ne} cells, but {self._cells_here} when the run was made"
+            raise MeshError(
+                f"{message}: make another run on the refined mesh, and move the state by nv.transfer"
+            )
         with computing(), self.solver.workers(), ending_all_ranks():
             self._start_ledger()
             self.interruption.begin()

@@ -89,7 +89,7 @@ def _verify(path: Path, group: h5py.Group, checksum: str) -> None:
     """Raise CheckpointError unless the group has the checksum ``checksum``."""
     stored = group.attrs.get(CHECKSUM)
     if stored != checksum:
-        flaw = "has no checksum" if stored is None else "is damaged (its checksum differs)"
+        flaw = "has no checksum" if stored is None else "is damaged (the checksum differs)"
         raise CheckpointError(f"{path}: {group.name.lstrip('/')} {flaw}; go on from another copy of the file")
 
 
@@ -177,7 +177,7 @@ def take_up(
         names = list(columns) if may_differ else [*ledger.columns, *ledger.foreign(columns)]
         rows = [row for row in _rows(path, columns, names) if row["step"] <= number]
         if [row["step"] for row in rows] != list(range(number + 1)):
-            raise CheckpointError(f"{path}: its ledger has not the rows of steps 0 to {number}")
+            raise CheckpointError(f"{path}: the ledger in this file lacks rows of the steps 0 to {number}")
         with opened(path) as file:  # in files of older versions, which have no limits, this run's limits hold
             limits = [(int(first), float(limit)) for first, limit in file["ledger"].attrs.get(CLOSURES, ())]
         return snapshot.numbers, list(snapshot.arrays), names, rows, limits
@@ -199,12 +199,11 @@ def _read_checkpoint(path: Path, expected: dict[str, Any], step: int | None) -> 
             stored = file.attrs.get(name)
             if name != "ngvisco" and stored != value:
                 stored = stored.item() if isinstance(stored, np.generic) else stored
-                verb = "are" if name in ("bodies", "energies") else "is"
-                message = f"its {name} {verb} {stored!r}, this run's {verb} {value!r}"
+                message = f"{name} of the checkpoint: {stored!r}, of this run: {value!r}"
                 raise CheckpointError(f"{path}: {message}")
         names = sorted(file["checkpoints"])
         if not names:
-            raise CheckpointError(f"{path}: it holds no checkpoint: start the run anew")
+            raise CheckpointError(f"{path}: the file holds no checkpoint; start the run anew")
         name = names[-1] if step is None else f"{step:08d}"
         if name not in names:
             steps = ", ".join(str(int(n)) for n in names)
@@ -245,9 +244,9 @@ def read_ledger(path: AnyPath) -> dict[str, np.ndarray]:
 def _rows(path: Path, ledger: Mapping[str, np.ndarray], columns: Sequence[str]) -> list[dict[str, float]]:
     """Rows of a ledger with the given columns; raises CheckpointError for a missing or too short column."""
     if missing := [name for name in columns if name not in ledger]:
-        raise CheckpointError(f"{path}: its ledger has no column {', '.join(missing)}")
+        raise CheckpointError(f"{path}: the ledger in this file has no column {', '.join(missing)}")
     if len({ledger[name].shape for name in columns}) != 1 or ledger[columns[0]].ndim != 1:
-        raise CheckpointError(f"{path}: the columns of its ledger have different lengths")
+        raise CheckpointError(f"{path}: the columns of the ledger in this file have different lengths")
     numbers = [ledger[name].astype(int if name in _WHOLE else float).tolist() for name in columns]
     return [dict(zip(columns, row, strict=True)) for row in zip(*numbers, strict=True)]
 

@@ -121,14 +121,16 @@ class TimeSteps:
             if not least <= self.dt <= most:
                 expected = f"a number from {least:g} to {most:g}, dt_min to dt_max"
                 raise ParameterError("TimeSteps.dt", self.dt, expected)
-            require_effect(self, False, "beside adaptive steps, which are halved down to dt_min", "halvings")
+            require_effect(
+                self, False, "beside adaptive steps, since these are halved down to dt_min", "halvings"
+            )
         require_effect(self, self.made.A != ((1.0,),), "with backward Euler itself", "startup")
         scheme, tolerance = self.made, None if self.adaptive is None else self.adaptive.tolerance
         constant = abs(scheme.error_constant) * math.factorial(scheme.order + 1)
         if tolerance is not None and constant < LEAST_CONSTANT:
             expected = (
-                f" with this scheme, whose local error is not that of its order {scheme.order}: "
-                f"its error constant is {scheme.error_constant:.1e}"
+                f" with this scheme, since its error constant {scheme.error_constant:.1e} is too small for "
+                f"an estimate of the order {scheme.order}"
             )
             raise ParameterError("AdaptiveSteps.tolerance", tolerance, None, expected)
         if self.relaxation and (self.adaptive is None or scheme.A != midpoint().A):
@@ -164,9 +166,7 @@ def time_steps(time: TimeSteps | None, keywords: Mapping[str, Any]) -> TimeSteps
         return TimeSteps(**{"dt": None, **keywords})
     require_type("Simulation.time", time, TimeSteps)
     if keywords:
-        raise ParameterError(
-            "Simulation.time", time, None, f" beside {', '.join(keywords)}, parameters of it"
-        )
+        raise ParameterError("Simulation.time", time, None, f" beside its parameters {', '.join(keywords)}")
     return time
 
 
@@ -214,7 +214,7 @@ def _turn(solver: RotheSolver, turned: bool) -> str:
     Raises StepError with the reason if the other solver may not be tried, or was tried (``turned``).
     """
     if turned:
-        raise StepError(f"the {solver.turns.other} solver has not solved it either")
+        raise StepError(f"the {solver.turns.other} solver has not solved the step either")
     return solver.turn()
 
 

@@ -90,7 +90,7 @@ def transfer(source: Simulation, target: Simulation) -> Transfer:
     before = source.ledger.energy() if source.ledger.balance is None else source.ledger.balance.energy
     scaled = _set_fields(source, target, points, at)
     if (defect := target.bounds.defect()) is not None:
-        raise InitialDataError("transferred state", defect, "positive values: take a finer mesh")
+        raise InitialDataError("transferred state", defect, "positive values; take a finer mesh")
     if target.bounds.limits:
         target.bounds.limit()
     new.state.vec.FV().NumPy()[new.layout.ranges["v"]] = 0.0
@@ -141,20 +141,22 @@ def require_fit(source: Simulation, target: Simulation) -> None:
     for v in has:
         if isinstance(v, Amount) and densities.get(v.name, v.density) != v.density:
             name = f"bodies[{v.name.removeprefix(AMOUNT)!r}].density"
-            expected = f"{densities[v.name]:.6g} kg/m^3, as in the run that it goes on"
+            expected = f"{densities[v.name]:.6g} kg/m^3, as in the source of the state"
             # because with another density either mass or volume would change
             raise ParameterError(name, v.density, expected)
     if [(v.name, repr(v)) for v in had] != [(v.name, repr(v)) for v in has]:
         names = [", ".join(v.name for v in side) for side in (had, has)]
-        expected = f"those of the source, {names[0]}: take its material, with the same elastic_state"
+        expected = (
+            f"the variables of the source, {names[0]}; take the material of the source with its elastic_state"
+        )
         raise ParameterError("transfer.target", f"the variables {names[1]}", expected)
     unknowns = source.rothe_step.layout.unknowns
     for name in target.rothe_step.layout.evolving:
         if name not in unknowns or unknowns[name].size != target.rothe_step.layout.unknowns[name].size:
-            expected = f"one whose terms have the unknown {name} too, which evolves"
-            raise ParameterError("transfer.source", "a run without it", expected)
+            expected = f"a run with terms that have the evolving unknown {name}"
+            raise ParameterError("transfer.source", f"a run without {name}", expected)
     if (had := source.arguments["symmetry"]) != (has := target.arguments["symmetry"]):
-        raise ParameterError("transfer.target", f"symmetry {has!r}", f"{had!r}, as of the source")
+        raise ParameterError("transfer.target", f"symmetry {has!r}", f"{had!r}, the symmetry of the source")
     if source.mesh.dim != target.mesh.dim:
         raise ParameterError("transfer.target", f"dimension {target.mesh.dim}", f"{source.mesh.dim}")
     if target.number or len(target.ledger.rows) > 1:
@@ -164,7 +166,7 @@ def require_fit(source: Simulation, target: Simulation) -> None:
         raise ParameterError("transfer.target", missing, "passive fields that the source carries too")
     volumes = [Integrate(CF(1.0), run.mesh) for run in (source, target)]
     if abs(volumes[1] / volumes[0] - 1) > _VOLUME:
-        raise MeshError(f"the new mesh has the volume {volumes[1]:.6g}, the old one {volumes[0]:.6g}")
+        raise MeshError(f"the new mesh has the volume {volumes[1]:.6g}, the old mesh {volumes[0]:.6g}")
 
 
 def _located(mesh: Mesh, points: QuadraturePoints) -> Located:
@@ -172,7 +174,7 @@ def _located(mesh: Mesh, points: QuadraturePoints) -> Located:
     try:
         return Located(mesh, where, ["target"] * len(where))
     except ParameterError as error:
-        raise MeshError(f"a point of the new mesh, {error.value}, is not in the old one") from error
+        raise MeshError(f"a point of the new mesh, {error.value}, is not in the old mesh") from error
 
 
 def _set_fields(source: Simulation, target: Simulation, points: QuadraturePoints, at: Located) -> float:
@@ -207,7 +209,9 @@ def _set_fields(source: Simulation, target: Simulation, points: QuadraturePoints
         before, after = float(old.quadrature.integrate_cells(had)), float(new.quadrature.integrate_cells(has))
         if not after > 0:
             amount, integral = name.removeprefix(AMOUNT), f"an integral of {after:.3g}"
-            raise InitialDataError(f"transferred amount of {amount}", integral, "> 0: take a finer mesh")
+            raise InitialDataError(
+                f"transferred amount of {amount}", integral, "an integral > 0; take a finer mesh"
+            )
         factors.append(before / after)
         coefficients *= factors[-1]
     return max(factors, key=lambda factor: abs(factor - 1))

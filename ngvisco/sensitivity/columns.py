@@ -23,14 +23,14 @@ from ngvisco.run.simulation import Simulation
 
 _TABLES = (Probes, Integrals, WallForces, Bodies)
 _RATES = ("dissipation", "power", "production", "flux")
-_COUNT, _ROUNDING = "it counts", "it is zero for all parameters, and what is left of it is rounding"
-_FROZEN = "what the limiter changes is constant in the derivatives"
-_OF_LENGTH = "the lengths of steps are constant"
+_COUNT, _ROUNDING = "it counts", "this column is rounding"
+_FROZEN = "derivatives treat the limiter's changes as constant"
+_OF_LENGTH = "derivatives treat the lengths of steps as constant"
 _REFUSED = {
     **dict.fromkeys(("newton_iterations", "rejections", "limited_cells", "passive_unsolved"), _COUNT),
     **dict.fromkeys(("closure", "closure_relative", "mass_drift"), _ROUNDING),
-    SIZE: "it has kinks where matter comes to rest",
-    RELATIVE: "it compares with the largest values of all steps and directions",
+    SIZE: "this column has kinks where matter comes to rest",
+    RELATIVE: "this column is relative to the largest values of all steps and directions",
 }
 """Reasons why columns of the ledger have no derivative.  Other columns without a derivative judge a step's
 length."""
@@ -80,7 +80,7 @@ class Columns:
         refused = {name: _REFUSED.get(name, _OF_LENGTH) for name in ledger.columns if name not in of_ledger}
         refused |= dict.fromkeys((e.name for e in ledger.entries if e.name in refused), _FROZEN)
         refused |= dict.fromkeys(
-            ledger.momentum.balances, "it is the change of the momentum less the impulses"
+            ledger.momentum.balances, "this column is the change of the momentum less the impulses"
         )
         for table in self._tables:
             refused |= table.jumping if isinstance(table, Bodies) else {}
@@ -91,7 +91,9 @@ class Columns:
                 raise UnknownNameError("column", name, differentiable, "of")
             if (count := [*ledger.columns, *chain.from_iterable(of_tables)].count(name)) > 1:
                 raise ParameterError(
-                    "of", name, f"a name of one column, not of {count}: rename a table's column"
+                    "of",
+                    name,
+                    f"a name of one column; {count} columns have this name, rename that of a table",
                 )
 
         def mask(kind: Collection[str]) -> np.ndarray:

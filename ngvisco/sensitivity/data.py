@@ -57,7 +57,7 @@ class Data:
         except (UnicodeDecodeError, csv.Error) as error:
             raise DataError(f"{path}: not a CSV file ({error})") from error
         if len(rows) < 2:
-            raise DataError(f"{path}: no rows of data below the line with the names of the columns")
+            raise DataError(f"{path}: the file has no rows of data below the names of the columns")
         names, units = _head(path, rows[0])
         values = np.array([_numbers(path, i, row, names) for i, row in enumerate(rows[1:], 2)])
         return _checked(str(path), dict(zip(names, values.T, strict=True)), units)
@@ -68,9 +68,7 @@ def _head(path: Path, cells: Sequence[str]) -> tuple[list[str], dict[str, str]]:
     for cell in cells:
         head = _HEAD.fullmatch(cell)
         if head is None or as_number(_float(cell)) is not None:
-            raise DataError(
-                f"{path}: {cell!r:.60} is no name of a column, with its unit in brackets or without"
-            )
+            raise DataError(f"{path}: {cell!r:.60} is no name of a column, which may have a unit in brackets")
         names.append(head["name"])
         if head["unit"] is not None:
             units[head["name"]] = head["unit"].strip()

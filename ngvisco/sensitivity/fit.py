@@ -330,7 +330,7 @@ class _Search:
                 raise ParameterError("fit.bounds", self.bounds.tolist(), *expected) from error
         except StopRequested as error:
             after = "" if self._restart is None else f"; the same call goes on from {self._restart.folder}"
-            message = f"the fit was given up in run {self.runs + 1}, as requested{after}"
+            message = f"the fit was stopped in run {self.runs + 1}, as requested{after}"
             raise StopRequested(message) from error
         self.runs, self.spent = self.runs + 1, self.spent + clock.process_time() - begin
         self._keep(q, result)
@@ -437,7 +437,9 @@ def _bounds(parameter: Named, given: tuple[float, float] | None) -> tuple[float,
     value = parameter.value
     if given is None:
         if value == 0:
-            raise ParameterError("fit.bounds", None, f"bounds of {parameter.name}, which begins at 0")
+            raise ParameterError(
+                "fit.bounds", None, f"bounds of {parameter.name}, since its start value is 0"
+            )
         low, high = sorted((value / _RANGE, value * _RANGE))
         return low, high
     try:
@@ -445,6 +447,6 @@ def _bounds(parameter: Named, given: tuple[float, float] | None) -> tuple[float,
     except (TypeError, ValueError):
         low, high = np.nan, np.nan
     if not low < high or not low <= value <= high:
-        expected = f"two numbers, the least first, with the start value {value:g} between them"
+        expected = f"two numbers LOW, HIGH with the start value {value:g} between them"
         raise ParameterError(f"fit.bounds[{parameter.name!r}]", given, expected)
     return low, high

@@ -92,7 +92,7 @@ class Gradient:
         block = blocks.get(name, "z")
         variable = next((v for v in self.simulation.model.material.variables if v.name == name), None)
         if isinstance(variable, Parameter) and variable.mean != "arithmetic":
-            expected = "a parameter that is transported itself, such as nv.Parameter(..., mean='arithmetic')"
+            expected = "a parameter that is carried itself, such as nv.Parameter(..., mean='arithmetic')"
             raise ParameterError("Gradient.density", name, expected)
         result = GridFunction(layout.scalar_space(block))
         begin = layout.ranges[block].start + (scalars[name].start * len(result.vec) if name in scalars else 0)
@@ -187,10 +187,10 @@ def gradient(
     parameters = _parameters(by, simulation, method)
     base, is_start = _base(simulation, numbers.columns), simulation.number == 0
     if not is_start and any(parameter.is_of_start for parameter in parameters):
-        expected = "no start values: the run has begun, and goes on from its present state"
+        expected = "no start values, since the run has begun"
         raise ParameterError("by", by, expected)
     if method == "adjoint" and simulation.bounds.sharpening is not None:
-        expected = "'tangent' for a run with Discretisation.sharp, whose planes have no transposed derivative"
+        expected = "'tangent' for a run with Discretisation.sharp, which has no adjoint"
         raise ParameterError("method", method, expected)
     simulation.stop_requested = False
     slopes = Slopes(base) if method == "adjoint" else None

@@ -66,7 +66,7 @@ class Wanted:
             except ValueError:
                 number = None
         if match is None or number is None:
-            expected = '"COLUMN at TIME", or "COLUMN until TIME" of its integral over time, TIME in s'
+            expected = '"COLUMN at TIME", or "COLUMN until TIME" for the integral over time, TIME in s'
             raise ParameterError("of", text, expected)
         return cls(match["column"], number, match["kind"] == "until")
 

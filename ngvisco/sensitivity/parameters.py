@@ -87,7 +87,9 @@ class Named:
         part = _found(_root(simulation, keys[0]), keys[1:], name)
         value = as_number(part)
         if value is None:
-            raise ParameterError(f"by: {name}", part, "a name that leads to a number, as material.G_e may")
+            raise ParameterError(
+                f"by: {name}", part, "the name of one number, and not of a function or a table"
+            )
         parent = _found(_root(simulation, keys[0]), keys[1:-1], name)
         beside = parent if isinstance(parent, (tuple, list)) else ()
         size = max([abs(value), *(abs(as_number(neighbour) or 0.0) for neighbour in beside)])
@@ -106,7 +108,7 @@ class Named:
         try:
             return varied(simulation, {self: value})
         except NgviscoError as error:
-            expected = f"a value with room of {2 * self.spacing:.2g} to both sides: {error}"
+            expected = f"a value at least {2 * self.spacing:.2g} from the ends of its range: {error}"
             raise ParameterError(f"by: {self.name}", self.value, expected) from error
 
 
@@ -132,7 +134,7 @@ def varied(
         changed_run = simulation.on(simulation.mesh, **parts, **given)
     if len(changed_run.rothe_step.state.vec) != len(simulation.rothe_step.state.vec):
         names = ", ".join(parameter.name for parameter in values)
-        raise ParameterError("by", names, "parameters that change no number of unknowns")
+        raise ParameterError("by", names, "parameters that do not change the number of unknowns")
     return changed_run
 
 
@@ -174,7 +176,7 @@ def _found(owner: Any, keys: Sequence[str], name: str) -> Any:
         return owner
     place = _member(owner, keys[0])
     if place is None:
-        raise UnknownNameError(f"part of {name!r}", keys[0], _known(owner), "by")
+        raise UnknownNameError(f"part in {name!r}:", keys[0], _known(owner), "by")
     is_within = dataclasses.is_dataclass(owner) and place != keys[0]  # the key belongs to a wrapped material
     return _found(_get(owner, place), keys if is_within else keys[1:], name)
 

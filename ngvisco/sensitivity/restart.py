@@ -74,8 +74,8 @@ class Restart:
         if differing:
             differ = f"another {', '.join(differing)}"
             raise CheckpointError(
-                f"{restart.folder}: belongs to a gradient or fit with {differ}; repeat that one, or take a "
-                "new folder"
+                f"{restart.folder}: the folder belongs to a gradient or fit with {differ}; repeat that "
+                "call, or take a new folder"
             )
         return restart
 
@@ -112,7 +112,7 @@ class Restart:
             arrays = {key: np.array(data) for key, data in file.items()}
             if texts.get(CHECKSUM) != digest_of(numbers, arrays):
                 raise CheckpointError(
-                    f"{self.path(name)}: is damaged (its checksum differs); take a new folder"
+                    f"{self.path(name)}: the file is damaged (the checksum differs); take a new folder"
                 )
         return numbers, arrays
 

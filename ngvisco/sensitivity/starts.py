@@ -51,7 +51,7 @@ class Starts:
         parts = {name: components[name] + weight * trial[name] for name in layout.evolving}
         old = Fields(
             layout,
-            GivenParts(parts, "it reads the old value of {name}, which does not evolve"),
+            GivenParts(parts, "the term reads the old value of {name}, which does not evolve"),
             gradient=lambda name: Grad(components[name]) + weight * Grad(trial[name]),
         )
         y = Fields(layout, trial)

@@ -111,12 +111,13 @@ class Trajectory:
     def __post_init__(self) -> None:
         run = self.simulation
         refused = {
-            "damage": run.rothe_step.damage is not None and "a damage that grows is a minimum under bounds",
+            "damage": run.rothe_step.damage is not None and "the growth of damage has no derivative",
             "walls": any(name in run.rothe_step.walls.multiplied for name in run.rothe_step.walls.pistons)
             and "the impulse of a piston on an oblique or curved wall at a step's end has no derivative",
             "relaxation": run.arguments["time"].relaxation
-            and "the length of a relaxed step is a function of its solution",
-            "mesh": run.ranks.is_distributed and "the transposed systems of several ranks are not known",
+            and "the lengths of relaxed steps depend on the solution",
+            "mesh": run.ranks.is_distributed
+            and "derivatives need one process, and this run has several ranks",
             "interfaces": bool(run.rothe_step.context.recovered_slopes)
             and "with constants in cells the direction of interfaces between viscosities has no derivative",
             "material": self._lacks_derivatives()
@@ -169,7 +170,7 @@ class Trajectory:
         """Raise StopRequested if the run was asked to stop, also after its last step."""
         if self.simulation.stop_requested:
             after = "" if self.restart is None else f"; the same call goes on from {self.restart.folder}"
-            raise StopRequested(f"the derivatives of the run were given up, as requested{after}")
+            raise StopRequested(f"the derivatives of the run were stopped, as requested{after}")
 
     def keep(self, name: str, number: int, arrays: Mapping[str, np.ndarray]) -> None:
         """Keep arrays of the derivatives with a number of steps in the restart folder, if there is one."""

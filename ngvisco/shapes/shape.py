@@ -222,7 +222,9 @@ class Polygon(Shape):
         object.__setattr__(self, "points", points)
         a, b = self._edges
         if not (np.linalg.norm(b - a, axis=1) > 0).all():
-            raise ParameterError("Polygon.points", self.points, "points that differ from the one before")
+            raise ParameterError(
+                "Polygon.points", self.points, "points, each different from the point before"
+            )
         if (otherwise := _expected_of_edges(a, b)) is not None:
             raise ParameterError("Polygon.points", self.points, otherwise)
 
@@ -233,7 +235,7 @@ class Polygon(Shape):
 
     def level(self, at: Places) -> np.ndarray:
         if at.mesh.dim != 2:
-            raise ParameterError("Polygon.points", self.points, "a mesh of the plane")
+            raise ParameterError("Polygon.points", self.points, "a mesh of two dimensions")
         p, is_inside = at.coordinates, np.zeros(len(at.coordinates), dtype=bool)
         distance = np.full(len(p), np.inf)
         for a, b in zip(*self._edges, strict=True):
@@ -259,8 +261,8 @@ def _expected_of_edges(a: np.ndarray, b: np.ndarray) -> str | None:
     common = np.minimum(on.max(axis=0), length) - np.maximum(on.min(axis=0), 0)
     is_collinear = (abs(off) <= rounding * length).all(axis=0) & ~np.eye(len(a), dtype=bool)
     for defect, expected in (
-        (has_both_sides & has_both_sides.T, "edges that do not cross: {} and {} do"),
-        (is_collinear & (common > rounding), "edges apart: {} and {} lie on each other"),
+        (has_both_sides & has_both_sides.T, "edges that do not cross; edges {} and {} cross"),
+        (is_collinear & (common > rounding), "edges that do not overlap; edges {} and {} overlap"),
     ):
         if defect.any():
             return expected.format(*(np.argwhere(defect)[0] + 1))
@@ -313,4 +315,6 @@ def as_shape(field: str, value: object) -> Shape:
 def require_dim(field: str, value: Sequence[float], mesh: Mesh) -> None:
     """Raise ParameterError unless a place has as many coordinates as the mesh."""
     if len(value) != mesh.dim:
-        raise ParameterError(field, list(value), f"{mesh.dim} coordinates, as many as the mesh has")
+        raise ParameterError(
+            field, list(value), f"{mesh.dim} coordinates, as the mesh has {mesh.dim} dimensions"
+        )

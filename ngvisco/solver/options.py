@@ -138,12 +138,12 @@ class NewtonOptions:
     def __post_init__(self) -> None:
         require_fields(self)
         if self.tolerance < _ROUNDING:
-            expected = f"at least {_ROUNDING:g}, which rounding leaves"
+            expected = f"at least {_ROUNDING:g}, the size of rounding"
             raise ParameterError("NewtonOptions.tolerance", self.tolerance, expected)
         # sparsecholesky silently returns nonsense for nonsymmetric matrices
         if not is_available(self.inverse):
             have = ", ".join(filter(is_available, get_args(Inverse)))
-            expected = f"{have}: this installation of NGSolve has no other one ready"
+            expected = f"{have}; this installation of NGSolve has no other inverse"
             raise ParameterError("NewtonOptions.inverse", self.inverse, expected)
         is_split, where = self.method == "split", "with the method 'split'"
         require_effect(self, not is_split, where, "refresh", "min_damping", "inverse")

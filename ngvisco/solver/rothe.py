@@ -96,7 +96,9 @@ class RotheSolver:
         Raises StepError with the reason if the other solver may not be tried.
         """
         if self.turns.obstacle is not None:
-            raise StepError(f"the {self.turns.other} solver is not asked: {self.turns.obstacle}")
+            raise StepError(
+                f"the {self.turns.other} solver cannot take the step instead: {self.turns.obstacle}"
+            )
         words = self.turns.turn()
         self.newton.reset()
         return words

@@ -59,9 +59,7 @@ class Turns:
         """Take the other solver; return a sentence about it for the user."""
         self.method = self.other
         self._left = self._wait
-        return (
-            f"the {self.method} solver is asked, and takes the next {self._left} steps if it solves this one"
-        )
+        return f"the {self.method} solver tries this step and, on success, takes the next {self._left} steps"
 
     def accept(self) -> None:
         """Count an accepted step; return to the first solver when the other one has taken its number of

@@ -59,15 +59,19 @@ def _check_workers(client: Any, scheduler: str) -> None:
     try:
         versions = client.run(version)
     except Exception as error:  # the import on a worker may raise any error
-        message = f"its workers cannot import ngvisco ({type(error).__name__}: {error})"
+        message = f"the workers cannot import ngvisco ({type(error).__name__}: {error})"
         raise SweepError(f"--scheduler {scheduler}: {message}") from error
     if not versions:
-        raise SweepError(f"--scheduler {scheduler}: expected workers, but it has none; start dask worker")
+        raise SweepError(
+            f"--scheduler {scheduler}: expected a scheduler with workers; start workers by dask worker"
+        )
     different = {address: there for address, there in versions.items() if there != expected}
     if different:
         address, there = next(iter(different.items()))
-        expected, there = (version or "one of a clone that is not installed" for version in (expected, there))
-        message = f"expected ngvisco {expected} on its workers, but {address} has {there}"
+        expected, there = (
+            version or "a version of a clone that is not installed" for version in (expected, there)
+        )
+        message = f"expected ngvisco {expected} on the workers, but {address} has {there}"
         raise SweepError(f"--scheduler {scheduler}: {message}")
 
 

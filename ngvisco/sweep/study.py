@@ -94,8 +94,8 @@ class Study:
 
     The constructor checks keys, values, each combination's case with its mesh, and existing files of the
     directory; it writes no file.  Raises SweepError if a key is varied twice, two combinations are the same
-    case, a run directory has another case's results, or ``sweep.csv`` is no table of a study.  Raises
-    CaseError with every fault of a combination's case.
+    case, ``directory`` or a run of the study has another case's results, or ``sweep.csv`` is no table of a
+    study.  Raises CaseError with every fault of a combination's case.
 
     Parameters
     ----------
@@ -122,15 +122,19 @@ class Study:
         self.directory = require_path("Study.directory", directory).resolve()
         self.table = self.directory / "sweep.csv"
         self.force = force
+        if RunDirectory(self.directory).case_file.exists():
+            raise SweepError(f"{self.directory}: this is a run directory; choose another one for the study")
         chosen = combinations(variations)
         fixed = {setting.partition("=")[0].strip() for setting in settings}
         if twice := fixed & set(chosen[0].values):
-            raise SweepError(f"{min(twice)}: expected --set or --vary, but it is in both")
+            raise SweepError(f"{min(twice)}: expected --set or --vary, but the key is in both")
         self.cases = [load_case(path, [*settings, *variation.settings]) for variation in chosen]
         names: dict[str, str] = {}
         for variation, case in zip(chosen, self.cases, strict=True):
             if (earlier := names.setdefault(case.resolved, variation.name)) != variation.name:
-                raise SweepError(f"{earlier} and {variation.name} are the same case: expected one of them")
+                raise SweepError(
+                    f"{earlier} and {variation.name} are the same case; expected distinct values"
+                )
         self.outcomes = [Outcome(variation.name, variation.values) for variation in chosen]
         self._others = [  # runs of earlier studies whose case files still exist
             listed
@@ -294,7 +298,7 @@ def read_table(path: Path) -> list[Outcome]:
         return outcomes
     except ValueError:
         raise SweepError(
-            f"{path}: expected the table of an earlier study, as it was written; move it away, or choose "
+            f"{path}: expected the table of an earlier study, unchanged; move the file away, or choose "
             "another directory"
         ) from None
 

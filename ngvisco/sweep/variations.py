@@ -34,7 +34,7 @@ class Variation:
             raise SweepError(f"--vary {self.key}={','.join(self.values)}: expected values between commas")
         twice = {value for value in self.values if self.values.count(value) > 1}
         if twice:
-            raise SweepError(f"--vary {self.key}: expected each value once, but {min(twice)} is there again")
+            raise SweepError(f"--vary {self.key}: expected each value once, but {min(twice)} is given twice")
 
     @classmethod
     def parse(cls, text: str) -> Variation:
@@ -63,7 +63,7 @@ def _parted(values: str, text: str) -> list[str]:
             closing.append({"[": "]", "{": "}", "(": ")"}[character])
         elif character in "]})":
             if not closing or closing.pop() != character:
-                raise SweepError(f"--vary {text}: {character!r} closes no bracket")
+                raise SweepError(f"--vary {text}: {character!r} has no opening bracket")
         elif character == "," and not closing:
             parts.append("")
             continue
@@ -92,7 +92,9 @@ def combinations(variations: Sequence[Variation]) -> list[Combination]:
         raise SweepError("nothing to vary: expected --vary key.path=value,value,...")
     for key in keys:
         if keys.count(key) > 1:
-            raise SweepError(f"--vary {key}: expected all its values in one option, but it is there twice")
+            raise SweepError(
+                f"--vary {key}: expected all values of the key in one option, but the key has two options"
+            )
     combinations = []
     for values in itertools.product(*(variation.values for variation in variations)):
         settings = tuple(f"{key}={value}" for key, value in zip(keys, values, strict=True))

@@ -326,7 +326,7 @@ class Integrator:
                 return StepTaken(omega * length, history, rates, numerical, limited, self.impulse)
             length = tau / omega
             self.rothe.return_to(self._before)
-        raise StepError("the relaxed step does not meet its end: take a smaller step")
+        raise StepError("no relaxed step ends at the given time: take a smaller step")
 
     def _relaxed_end(
         self, states: Sequence[Evolved], t: float, span: float, rates: dict[str, float], share: float | None
@@ -361,8 +361,8 @@ class Integrator:
                 )
             except ValueError as error:
                 message = (
-                    "no end of the relaxed step is without numerical dissipation, as where a wall's velocity "
-                    "or a load has a kink: take smaller steps, or no relaxation"
+                    "no length of the relaxed step is without numerical dissipation, for example at a kink "
+                    "of a load or a wall's velocity: take smaller steps, or no relaxation"
                 )
                 raise StepError(message) from error
             if share is not None and abs(omega - share) <= noise / distance:

@@ -205,6 +205,8 @@ def scheme_of(scheme: str | TimeScheme, theta: float | None = None) -> TimeSchem
         return theta_scheme(theta)
     if theta is not None:
         raise ParameterError(
-            "theta", theta, f"nothing with the scheme {str(scheme)!r}: it belongs to 'theta'"
+            "theta",
+            theta,
+            f"no theta with the scheme {str(scheme)!r}; only the scheme 'theta' has this parameter",
         )
     return SCHEMES[scheme]() if isinstance(scheme, str) else scheme

@@ -167,7 +167,11 @@ def test_a_scene_has_outlines_of_bodies_whatever_fields_are_written(tmp_path, ca
 @pytest.mark.parametrize(
     ("where", "key", "message"),
     [
-        ('{ kind = "Ball", centre = [6, 5], radius = 0.2 }', "bodies.1.where", "no cell has a part of it"),
+        (
+            '{ kind = "Ball", centre = [6, 5], radius = 0.2 }',
+            "bodies.1.where",
+            "no cell has a part of this place",
+        ),
         ('{ kind = "Ball", centre = [6, 5, 1], radius = 0.2 }', "bodies.1.where.centre", "2 coordinates"),
         (
             '{ kind = "Subdomain", names = "inclusion" }',
@@ -253,7 +257,7 @@ def test_bodies_of_a_case_have_heat_each_by_its_own_material_and_law():
     assert [float(model.heat_law.size(theta, one).value[0]) for one in z] == pytest.approx([0.1, 150.1])
     with pytest.raises(CaseError, match=r"bodies\.1\.heat\.conductivity: -1"):
         case(HEAD + heat + text + disc.replace('"0.5*theta"', "-1.0")).model(2)
-    with pytest.raises(CaseError, match=r"bodies\.0\.material.*all have one temperature"):
+    with pytest.raises(CaseError, match=r"bodies\.0\.material.*all bodies have one temperature"):
         case(HEAD + heat + text.replace(warm, cold) + disc).model(2)
 
 

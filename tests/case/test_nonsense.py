@@ -54,21 +54,21 @@ NONSENSE = """\
 # what was accepted
 TWO | BALL -> "x - 0.5" | bodies.1.where: 'x - 0.5': expected a condition such as x < 0.5
 ONE | + [[output.integrals]]; name = "a"; of = "1/(density - density)"
-  | output.integrals.0.of: '1/(density - density)': expected an integrand that is finite
+  | output.integrals.0.of: '1/(density - density)': expected an integrand with a finite integral
 ONE | + [[output.integrals]]; name = "a"; of = "log(-density)"
-  | output.integrals.0.of: 'log(-density)': expected an integrand that is finite
-ONE | + J_min = 2.0 | material.J_min: 2.0: expected less than J at the start
-TWO | LAW_OF_DISC -> LAW_OF_DISC, J_min = 2.0 | expected no J_min: continued below it
+  | output.integrals.0.of: 'log(-density)': expected an integrand with a finite integral
+ONE | + J_min = 2.0 | material.J_min: 2.0: expected less than 1, the least J
+TWO | LAW_OF_DISC -> LAW_OF_DISC, J_min = 2.0 | expected no J_min, since the continued energy
 ONE | density = 1 -> density = "1+t" | initial.density: '1+t': expected a function of the place alone
 ONE | density = 1 -> velocity = ["t*y", 0]
   | initial.velocity: ['t*y', 0]: expected a function of the place alone
-ONE | density = 1 -> density = 1e-300 | initial.density: 1e-300: expected 0, or a finite number from 1e-60
+ONE | density = 1 -> density = 1e-300 | initial.density: 1e-300: expected a finite number from 1e-60
 ONE | density = 1 -> density = "1e-300"
   | initial density rho_0: 1e-300 to 1e-300; expected kg/m^3 from 1e-30
-ONE | K_e = 10 -> K_e = 1e-300 | material.K_e: 1e-300: expected 0, or a finite number from 1e-60
+ONE | K_e = 10 -> K_e = 1e-300 | material.K_e: 1e-300: expected a finite number from 1e-60
 ONE | + [rheology.creep]; G_m = inf | rheology.creep.G_m: inf: expected a finite number
-ONE | g = [0, -1] -> g = [[0, -1]] | loads.0.g: [[0, -1]]: expected an array of its components
-ONE | g = [0, -1] -> g = [[0], [-1]] | loads.0.g: [[0], [-1]]: expected an array of its components
+ONE | g = [0, -1] -> g = [[0, -1]] | loads.0.g: [[0, -1]]: expected an array of components
+ONE | g = [0, -1] -> g = [[0], [-1]] | loads.0.g: [[0], [-1]]: expected an array of components
 ONE | density = 1 -> density = [[1]] | initial.density: [[1]]: expected a number, or an expression
 ONE | + [output]; passive = ["creep_strain"] | output.passive: 'creep_strain': expected a model with creep
 ONE | + [output.bodies]; every = 2 | output.bodies: { every = 2 }: expected no such table
@@ -82,7 +82,7 @@ TWO | LAW_OF_DISC -> kind = "Custom", variables = ["J"], energy = "0*J + 1"
   | bodies.1.material.energy: '0*J + 1': expected an energy that changes with J
 # what was blamed on something else
 ONE | [[loads]] -> [loads] | loads: { kind = "Gravity", g = [0, -1] }: expected an array of tables, [[loads]]
-ONE | g = [0, -1] -> g = -1 | loads.0.g: -1: expected an array of its components
+ONE | g = [0, -1] -> g = -1 | loads.0.g: -1: expected an array of components
 ONE | K_e = 10 -> K_e = "10*x" | material.K_e: '10*x': at the start minimum
 ONE | G_v = 0.01 -> G_v = "x - 2" | rheology.viscosity.G_v: 'x - 2': at the start minimum -2
 TWO | K_e = 10, G_e = 5 -> K_e = 10, G_e = "x - 1" | bodies.1.material.G_e: 'x - 1': at the start minimum -1
@@ -98,41 +98,41 @@ TWO | density = 2.0 -> density = 1e30 | bodies.1.density: 1e+30: expected at mos
 TWO | radius = 0.2 -> radius = 0.001
   | bodies.1.where: { kind = "Ball", centre = [0.6, 0.5], radius = 0.001 }: expected a place within the
   domain, no thinner than 1/4 of the cells there
-TWO | BALL -> "x > -1" | bodies.1.where: 'x > -1': expected a place that leaves something of the domain to
+TWO | BALL -> "x > -1" | bodies.1.where: 'x > -1': expected a smaller place, since
   'rest'
 TWO | name = "rest" -> name = "rest"; where = "x < 0.2"; order = 1
-  | bodies: ['rest', 'disc']: expected one without a place, for the rest
+  | bodies: ['rest', 'disc']: expected one body without a place, for the rest
 TWO | LAW_OF_DISC -> kind = "NeoHookean", K_e = 10, G_e = 5, epsilon = 0.1
   | an energy f(B) + U(J) per reference volume
 # bodies that are none
 TWO | name = "disc" -> name = "rest" | bodies.1.name: 'rest': expected a name that no other
 TWO | name = "disc" -> name = "a disc" | bodies.1.name: 'a disc': expected a letter
 TWO | name = "disc" ->  | bodies.1.name: is missing
-TWO | where = BALL ->  | bodies.1.where: is missing: expected a place: 'rest' has none
+TWO | where = BALL ->  | bodies.1.where: is missing: expected a place, since 'rest' without a place
 TWO | kind = "Ball" -> kind = "Bal" | bodies.1.where.kind: 'Bal': expected one of Ball, Block
 TWO | radius = 0.2 -> radius = -1 | bodies.1.where.radius: -1.0: expected a finite number > 0
 TWO | G_e = 5 -> G_e = -5 | bodies.1.material.G_e: -5.0: expected a finite number > 0
-TWO | BALL -> "x <" | bodies.1.where: 'x <': not an expression, at character
-TWO | BALL -> "x < t" | expected a condition on x, y and z alone
+TWO | BALL -> "x <" | bodies.1.where: 'x <': the text is not an expression, at character
+TWO | BALL -> "x < t" | expected a condition on the place (x, y, z) alone
 TWO | BALL -> [] | bodies.1.where: []: expected at least one shape
 TWO | BALL -> 3 | bodies.1.where: 3: expected a table
 TWO | until = 0.04 -> until = 0.04; [rheology.creep]; G_m = 1 | no such table beside [[bodies]]
 TWO | until = 0.04 -> until = 0.04; [material]; kind = "LinearElastic"; K_e = 1; G_e = 1
   | no table [material] beside
 ONE | [material]; LAW ->  | material: is missing: expected a table [material], or bodies
-ONE | K_e = 10 -> K_e = "10 + 5*t" | material.K_e: '10 + 5*t': expected a number, or a function of the initial
+ONE | K_e = 10 -> K_e = "10 + 5*t" | material.K_e: '10 + 5*t': expected a number, or an expression of
 ONE | K_e = 10 -> K_e = true | material.K_e: true: expected a number, or an expression
 ONE | K_e = 10 -> K_e = [1, 2] | material.K_e: [1, 2]: expected a number, or an expression
 # what was said in Python's words
 TWO | until = 0.04 -> until = 0.04; [initial]; density = 2
   | initial.density: 2: expected nothing with bodies
 ONE | density = 1 -> temperature = 300
-  | initial.temperature: 300: expected nothing for a material without a temperature; material.thermal gives it
+  | initial.temperature: 300: expected nothing for a material without a temperature; material.thermal gives a
 ONE | density = 1 -> F = 1.1 | initial.F: 1.1: expected three rows of three, as in
-ONE | LAW -> GAS | material.gruneisen: is missing: expected a number > 0, by which a gas has its pressure
+ONE | LAW -> GAS | material.gruneisen: is missing: expected a number > 0, which gives the pressure of a gas
 ONE | LAW -> GASexpansion = 1e-4 | material.expansion: unknown key
 ONE | LAW -> kind = "Damaged"; G_c = 1; length = 1; material = { kind = "BarotropicFluid", B = 1, gamma = 2 }
-  | material.material: { kind = "BarotropicFluid", B = 1, gamma = 2 }: expected one without stress at rest
+  | material.material: { kind = "BarotropicFluid", B = 1, gamma = 2 }: expected a material without
 ONE | + [rheology.creep]; kind = "Composite"; rules = [{ kind = "Perzyna", sigma_Y = 1, G_m = 1, Q = 2 }]
   | rheology.creep.rules.0.Q: 2.0: expected a rule without hardening
 ONE | maxh = 0.5 -> maxh = 0.5; adapt = { field = "G", every = 0.02 } | unknown domain.adapt.field 'G'
@@ -147,10 +147,11 @@ ONE | + [[output.integrals]]; name = "a"; of = "G"
 # what hung
 ONE | K_e = 10 -> K_e = "10 Pa**9**9**9" | material.K_e: '10 Pa**9**9**9': 'Pa**9**9**9' is no unit
 ONE | dt = 0.02 -> dt = "2 s*99999999999**9999999999" | time.dt: '2 s*99999999999**9999999999':
-ONE | LAW -> OWN "norm2(inv(inv(inv(inv(inv(inv(F)))))))" | it has 1e+05 operations, at most 5000
-ONE | LAW -> OWN "((((norm2(F))**9)**9)**9)**9 + norm2(F)" | operations, at most 5000
+ONE | LAW -> OWN "norm2(inv(inv(inv(inv(inv(inv(F)))))))"
+  | 1e+05 operations when its powers are written out; expected at most 5000
+ONE | LAW -> OWN "((((norm2(F))**9)**9)**9)**9 + norm2(F)" | written out; expected at most 5000
 ONE | density = 1 -> density = "(((((((((1 + x)**16)**16)**16)**16)**16)**16)**16)**16)**16"
-  | operations, at most 5000
+  | written out; expected at most 5000
 """
 
 

@@ -71,11 +71,11 @@ CASE | size = [1, 1] -> size = [1, "a"] | case.toml:4: domain.size.1: 'a': expec
 CASE | [rheology.creep] -> [rheology.crep] | rheology.crep: unknown key; did you mean 'creep'?
 CASE | "Gravity" -> "gravity" | case.toml:17: loads.0.kind: 'gravity'
 CASE | 0.1*t -> 0.1*q | case.toml:18: loads.0.g: [0, '-1 + 0.1*q']: unknown name 'q'
-CASE | 0.1*t -> 0.1/0 | no finite number (float division by zero), at character 6 of '-1 + 0.1/0'
+CASE | 0.1*t -> 0.1/0 | the value is not finite (float division by zero), at character 6 of '-1 + 0.1/0'
 CASE | g = [0, -> g = [nan, | loads.0.g: [nan, '-1 + 0.1*t']: expected a finite number
 CASE | "1 + 0.1*x" -> "os.system(1)" | case.toml:21: initial.density: 'os.system(1)': only the listed
 CASE | [initial] -> [intial] | case.toml:20: intial: unknown key; did you mean 'initial'?
-CASE | dt = 0.02 -> dt = 1e-300 | time.dt: 1e-300: expected at least 1e-09: this one makes 1e+299 steps
+CASE | dt = 0.02 -> dt = 1e-300 | time.dt: 1e-300: expected at least 1e-09: the given length makes
 CASE | dt = 0.02 -> dt = true | case.toml:28: time.dt: true: expected a number
 CASE | until = 0.1 -> until = 0.11 | time.until: 0.11: expected a multiple of dt = 0.02
 CASE | until = 0.1 -> until = 0.1; [solver]; max_iterations = 2.5 | expected a whole number
@@ -84,7 +84,7 @@ CASE | until = 0.1 -> until = 0.1; [solver]; coarse = "amg"
 CASE | until = 0.1 -> until = 0.1; [output.vtk]; interval = 0.03 | output.vtk.interval: 0.03: expected a mult
 CASE | until = 0.1 -> until = 0.1; [time.adaptive]; dt_min = 1; dt_max = 0.1 | time.adaptive.dt_max: 0.1
 CASE | title = "a case" -> title = 3 | case.toml:1: title: 3: expected a text in quotes
-CASE | [domain] -> [domain | not TOML
+CASE | [domain] -> [domain | the file is not TOML
 CASE | walls.left -> walls.lef | case.toml:24: walls.lef: unknown boundary 'lef'; did you mean 'left'?
 CASE | size = [1, 1] -> size = [1] | case.toml:4: domain.size: [1.0]: expected two or three
 CASE | 1 + 0.1*x -> x - 1 | case.toml:21: initial.density: initial density rho_0: minimum -1
@@ -92,7 +92,7 @@ CASE | sin(pi*x)*cos -> log(x - 2)*cos | case.toml:22: initial.velocity
 CASE | 1 + 0.1*x -> z + 1 | initial.density: 'z + 1': there is no z in a mesh of two dimensions
 CASE | -1 + 0.1*t -> z | case.toml:18: loads.0.g.1: 'z': there is no z in a mesh of two dimensions
 CASE | -1 + 0.1*t -> log(x - 2) | case.toml:18: loads.0.g: [0, 'log(x - 2)']: expected finite
-CASE | -1 + 0.1*t -> sqrt(0.05 - t) | finite values; at t = 0.075 s it is not finite somewhere
+CASE | -1 + 0.1*t -> sqrt(0.05 - t) | finite values; at t = 0.075 s the value is not finite somewhere
 CASE | g = [0, -> g = [0, 0, | case.toml:18: loads.0.g: [0, 0, '-1 + 0.1*t']: expected an array of 2
 CASE | [walls -> [initial.values]; Q = 1; [walls | unknown material variable 'Q'
 CASE | [walls -> [initial.values]; F = [[1, 0], [0]]; [walls | initial.values.F: [[1, 0], [0]]: expected three
@@ -110,7 +110,7 @@ def test_fault_is_named_with_line_key_value_and_remedy(text, message):
 
 
 def test_number_of_thousands_of_digits_is_a_fault_of_the_file():
-    with pytest.raises(CaseError, match=r"case\.toml: not TOML: Exceeds the limit"):
+    with pytest.raises(CaseError, match=r"case\.toml: the file is not TOML: Exceeds the limit"):
         simulation(CASE.replace("until = 0.1", "until = " + "9" * 5000))
 
 
@@ -119,7 +119,7 @@ def test_adaptive_steps_are_counted_by_the_longest_one():
     steps = ["time.dt=0.5", "time.until='30 yr'", "time.adaptive.dt_min=0.1"]
     assert case(CASE, *steps, "time.adaptive.dt_max='1 yr'").until > 9e8
     with pytest.raises(
-        CaseError, match=r"time.adaptive.dt_max.*: expected at least 9\.5: this one makes 9e\+08"
+        CaseError, match=r"time.adaptive.dt_max.*: expected at least 9\.5: the given length makes 9e\+08"
     ):
         case(CASE, *steps, "time.adaptive.dt_max=1")
 
@@ -258,7 +258,7 @@ def test_missing_unreadable_and_huge_files_are_refused(tmp_path):
     with pytest.raises(CaseError, match="cannot be read: Is a directory"):
         nv.load_case(tmp_path)
     (tmp_path / "b.toml").write_bytes(b"title = '\xff'")
-    with pytest.raises(CaseError, match=r"b.toml:1: not a text in UTF-8"):
+    with pytest.raises(CaseError, match=r"b.toml:1: the file is not text in UTF-8"):
         nv.load_case(tmp_path / "b.toml")
     with (tmp_path / "c.toml").open("wb") as file:
         file.truncate(3_000_000_000)  # no blocks are written

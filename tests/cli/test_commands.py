@@ -250,9 +250,12 @@ def test_progress_bar_says_why_a_step_was_rejected_and_what_was_limited(capsys):
             ("plot", "RUN", "--movie", "film.avi"),
             "ngvisco: --movie = 'film.avi': expected a name that ends in .gif",
         ),
-        (("plot", "RUN", "--movie", "--step", "4"), "ngvisco: --step = 4: expected nothing with --movie"),
-        (("plot", "RUN", "--fps", "5"), "ngvisco: --fps = 5.0: expected --movie beside it"),
-        (("plot", "RUN", "-o", ""), "-o/--output: '': empty; give a directory"),
+        (
+            ("plot", "RUN", "--movie", "--step", "4"),
+            "ngvisco: --step = 4: expected no such option beside --movie",
+        ),
+        (("plot", "RUN", "--fps", "5"), "ngvisco: --fps = 5.0: expected the option --movie"),
+        (("plot", "RUN", "-o", ""), "-o/--output: '': the name is empty; expected a directory"),
         (
             ("gradient", "CASE", "--by", "material.G_e", "--of", "kinetic at 9"),
             "--of = 'kinetic at 9': expected a time of",
@@ -263,10 +266,20 @@ def test_progress_bar_says_why_a_step_was_rejected_and_what_was_limited(capsys):
         ),
         (
             ("gradient", "CASE", "--by", "material.Ge", "--of", "kinetic at 0"),
-            "--by = 'material.Ge': unknown part of",
+            "--by = 'material.Ge': unknown part in",
+        ),
+        (
+            ("gradient", "CASE", "--by", "domain.maxh", "--of", "kinetic at 0"),
+            "--by = 'domain.maxh': expected a number of bodies, initial, loads",
+        ),
+        (("run", "CASE", "--from", "nowhere"), "ngvisco: --from = 'nowhere': nowhere: no such directory"),
+        (("sweep", "CASE", "--vary", "time.dt=0.01,0.02", "-o", "RUN"), "this is a run directory"),
+        (
+            ("resume", "RUN", "--set", "time.dt=0.03", "--until", "0.11"),
+            "--until does not change the case's time.until",
         ),
         (("plot", "RUN", "--movie", "--fps", "0"), "ngvisco: --fps = 0.0: expected a number in (0, 1000]"),
-        (("plot", "RUN", "--section", "z=0"), "ngvisco: --section = 'z=0': expected none"),
+        (("plot", "RUN", "--section", "z=0"), "ngvisco: --section = 'z=0': expected no section"),
     ],
 )
 def test_wrong_input_is_explained_with_exit_code_2(words, message, case_file, finished, tmp_path, capsys):
@@ -325,7 +338,7 @@ def test_a_lock_is_there_only_while_it_is_held(tmp_path, case_file, half):
     place = RunDirectory(tmp_path / "new")
     with place.locked():
         assert place.lock_file.read_text().startswith("process ")
-        with pytest.raises(nv.RunDirectoryError, match="in use by process"), place.locked():
+        with pytest.raises(nv.RunDirectoryError, match=r"process .* uses this directory"), place.locked():
             pass
     assert not place.path.exists()
 

@@ -108,7 +108,7 @@ def test_an_unwritable_directory_is_named(place, case_file):
 def test_a_file_is_no_directory(case_file):
     before = case_file.read_text()
     code, _, err = command("run", case_file, "-o", case_file)
-    assert code == BAD_INPUT and "give a directory" in err and case_file.read_text() == before
+    assert code == BAD_INPUT and "expected a directory" in err and case_file.read_text() == before
 
 
 def test_existing_results_are_refused_unless_forced(half, case_file):
@@ -169,15 +169,15 @@ def test_a_damaged_or_foreign_checkpoint_is_refused_with_the_reason(damage, half
     elif damage == "version":
         with h5py.File(path, "a") as file:
             file.attrs["format"] = 1
-        reason = f"its format is 1, this run's is {FORMAT}"
+        reason = f"format of the checkpoint: 1, of this run: {FORMAT}"
     elif damage == "case":
         text = (half / "case.toml").read_text()
         (half / "case.toml").write_text(text.replace("G_v = 0.01", "G_v = 0.02"))
-        reason = "its case is"
+        reason = "case of the checkpoint: "
     else:
         with h5py.File(path, "a") as file:
             file.attrs["mesh"] = "another"
-        reason = "its mesh is 'another'"
+        reason = "mesh of the checkpoint: 'another'"
     before = path.read_bytes()
     code, _, err = command("resume", half, "--until", 0.08)
     assert code == BAD_FILE and reason in err
@@ -254,7 +254,7 @@ def test_a_signal_ends_the_run_and_says_how_to_resume(tmp_path, case_file):
         wait_for(lambda: rows(place) > 2, process)
         for words in (("run", case_file, "-o", place, "--force"), ("resume", place)):
             code, _, err = command(*words)
-            assert code == BAD_INPUT and f"in use by process {process.pid}" in err
+            assert code == BAD_INPUT and f"process {process.pid} on " in err and "uses this directory" in err
         reached = rows(place)
         wait_for(lambda: rows(place) > reached, process)
         process.send_signal(signal.SIGINT)  # a stopped study is sent SIGTERM, see test_study

@@ -162,14 +162,14 @@ def test_a_fit_prints_no_command_for_values_without_keys(case, tmp_path):
         (["--bounds", "material.G_e=1"], "KEY=LOW,HIGH"),
         (
             ["--bounds", "material.G_e=7,9 Pa"],
-            "--bounds = 'material.G_e=7,9 Pa': expected two numbers, the least first",
+            "--bounds = 'material.G_e=7,9 Pa': expected two numbers LOW, HIGH with",
         ),
         (
             ["--sigma", "stored=1"],
             "--sigma = 'stored=1': expected a standard deviation > 0 of the column kinetic",
         ),
         (["--set", "time.until=0.04"], "after the end of the run"),
-        (["--by", "time.dt"], "'time.dt' (known: bodies, initial, loads, material, rheology.creep, "),
+        (["--by", "time.dt"], "--by = 'time.dt': expected a number of bodies, initial, loads, material"),
     ],
 )
 def test_wrong_input_of_a_fit(case, tmp_path, words, said):

@@ -155,7 +155,7 @@ def test_a_load_that_is_not_resolved_is_said_once():
     model = nv.Model(loads=[nv.Gravity(front)], **MODEL)
     run = nv.Simulation(box((1, 1), 1.0), model, time=nv.TimeSteps(dt=0.04, velocity_scale=1.0))
     with pytest.warns(
-        nv.InputWarning, match="mean of a load over the step from t = 0 s is known to"
+        nv.InputWarning, match="mean of a load over the step from t = 0 s has an error of"
     ) as caught:
         run.run(0.08)
-    assert len([w for w in caught if "known to" in str(w.message)]) == 1
+    assert len([w for w in caught if "has an error of" in str(w.message)]) == 1

@@ -51,7 +51,7 @@ def test_motion_within_cells_is_measured_and_said_once():
         np.arange(len(values)) % count >= vertices
     )
     with pytest.warns(
-        nv.InputWarning, match="of the kinetic energy is motion within cells that nothing feels"
+        nv.InputWarning, match="of the kinetic energy is motion within cells that no stress resists"
     ) as said:
         row = run.ledger.start(0.0)
         run.ledger.state()

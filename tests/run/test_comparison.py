@@ -71,8 +71,8 @@ def test_a_comparison_has_the_chosen_fields_of_probes(runs, tmp_path, drawn):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--movie"], "--movie = '': expected one run directory"),
-        (["--step", "1"], "--step = 1: expected one run directory"),
+        (["--movie"], "--movie = '': expected no such option for several runs"),
+        (["--step", "1"], "--step = 1: expected no such option for several runs"),
         (["--section", "x"], "--section = 'x'"),
     ],
 )

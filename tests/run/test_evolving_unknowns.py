@@ -162,14 +162,16 @@ def test_transfer_carries_it_over(place):
     ledger = target.run(0.1)
     assert abs(ledger.column("closure_relative")[-1]) < 1e-13
     without = Simulation(box((1, 1), maxh=0.6), MODEL, dt=0.05)
-    with pytest.raises(ParameterError, match="the unknown theta too, which evolves"):
+    with pytest.raises(ParameterError, match="the evolving unknown theta"):
         transfer(without, simulation(terms[0]))
 
 
 def test_old_value_of_what_does_not_evolve_is_refused_by_name():
     term = Relaxation()
     term.evolves = False
-    with pytest.raises(ParameterError, match=r"Relaxation: it reads the old value of theta.*evolves=True"):
+    with pytest.raises(
+        ParameterError, match=r"Relaxation: the term reads the old value of theta.*evolves=True"
+    ):
         simulation(term, theta=None)
 
 
@@ -181,14 +183,14 @@ class Reading(Relaxation):
 
 
 def test_an_old_value_is_refused_in_entries():
-    with pytest.raises(ParameterError, match="Reading: it reads the old value of zeta"):
+    with pytest.raises(ParameterError, match="Reading: the term reads the old value of zeta"):
         simulation(Reading(), theta=None)
 
 
 def test_split_solver_says_why_it_refuses_one_in_cells():
     term = Relaxation()
     term.place = "cells"
-    with pytest.raises(ParameterError, match="Relaxation: there is no theta in cells; with rows of the flow"):
+    with pytest.raises(ParameterError, match="Relaxation: there is no theta in cells; if the term has rows"):
         simulation(term, solver="split")
 
 
@@ -216,7 +218,7 @@ class ByVelocity(Relaxation):
 @pytest.mark.parametrize(
     ("term", "said"),
     [
-        (Half(), "it lacks energy, slope"),
+        (Half(), "the given term lacks energy, slope"),
         (Misnamed(), "'kinetic' or 'stored'"),
         (ByVelocity(), "ByVelocity: its slope reads the change of v"),
     ],
@@ -255,7 +257,7 @@ def test_declarations_are_checked():
     term = Relaxation()
     term.unknowns = lambda setting: (Unknown("F", "cells", evolves=True),)
     with pytest.raises(
-        ParameterError, match="another name for what evolves: the material has a variable 'F'"
+        ParameterError, match="another name for the evolving unknown: the material has a variable 'F'"
     ):
         simulation(term, theta=None)
 

@@ -207,7 +207,7 @@ def test_a_lost_momentum_is_warned_of_once_and_by_name():
     run = run_between(WALLS["slip"])
     ledger = run.run(until=0.05)
     row = ledger.rows[-1] | {"momentum_defect_relative": 2 * LOST, "defect_inertia_1": 1.0}
-    with pytest.warns(MomentumWarning, match=r"10\.0% of the momentum.*skew form of inertia"):
+    with pytest.warns(MomentumWarning, match=r"10\.0% of the present momentum.*skew form of inertia"):
         ledger.momentum.check(row)
     with pytest.raises(pytest.fail.Exception), pytest.warns(MomentumWarning):
         ledger.momentum.check(row)  # said

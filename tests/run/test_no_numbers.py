@@ -73,7 +73,7 @@ def test_a_step_beyond_the_domain_is_refused_by_its_name(solver):
     with pytest.raises(nv.StepError) as caught:
         run.run(1.0)
     assert np.isfinite(run.ledger.column("stored")).all() and run.t < 1.0
-    assert "no number, which it has for room to stretch > 0 alone (of B, J)" in str(caught.value)
+    assert "no number; the energy of B, J has values for room to stretch > 0 alone" in str(caught.value)
     furthest = largest(run, "B", lambda z: tr(z["B"]))
     assert furthest < 3 + STRETCH
     for told in (str(caught.value), str(caught.value.report).splitlines()[0]):

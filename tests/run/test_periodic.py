@@ -224,5 +224,5 @@ def test_part_of_a_boundary_that_is_wall_and_interface_is_refused():
     for ends in ((a, b), (b, c), (c, d), (d, a), (a, c)):
         plain.Add(Element1D(list(ends), index=1))
     model = nv.Model(material=nv.NeoHookean(K_e=1, G_e=1, epsilon=0.1))
-    with pytest.raises(nv.MeshError, match="divide it"):
+    with pytest.raises(nv.MeshError, match="divide the boundary"):
         nv.Simulation(Mesh(plain), model, dt=0.05)

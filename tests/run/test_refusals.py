@@ -131,7 +131,7 @@ box((1, 1), _) | 0, -1, inf | box.maxh | a finite number > 0
 simulation().run(until=_) | 0.25 | until | a multiple of dt = 0.1
 simulation().run(until=_) | -0.1, nan, inf, "1" | until | number >= 0
 simulation(scheme="theta", theta=_) | None, 0.49, 1.01, -1, nan, "half", True | TimeSteps.theta | in [1/2, 1]
-simulation(scheme="midpoint", theta=_) | 0.6 | TimeSteps.theta | nothing with the scheme 'midpoint'
+simulation(scheme="midpoint", theta=_) | 0.6 | TimeSteps.theta | no theta with the scheme 'midpoint'
 simulation(scheme="midpoint", relaxation=_) | True | TimeSteps.relaxation | 'midpoint' with adaptive
 simulation(scheme="midpoint", relaxation=_) | "yes" | TimeSteps.relaxation | True or False
 simulation(scheme="midpoint", startup=_) | -1, 1.5, True | TimeSteps.startup | a whole number >= 0
@@ -168,16 +168,16 @@ Thermal(material=LINEAR, c=_, theta_R=300.0) | 0.0, inf | Thermal.c | a finite n
 Thermal(material=LINEAR, c=3.0, theta_R=_) | -1.0 | Thermal.theta_R | a finite number > 0
 Thermal(material=LINEAR, c=3.0, theta_R=300.0, expansion=_) | -1.0 | Thermal.expansion | a finite number >= 0
 Thermal(material=LINEAR, c=3.0, theta_R=300.0, expansion=0.1, gruneisen=_) | 1.0 | Thermal.gruneisen | None
-Thermal(material=LINEAR, c=3.0, theta_R=300.0, p_infinity=_) | 1.0 | Thermal.p_infinity | its own pressure
-Thermal(c=3.0, theta_R=300.0, gruneisen=_) | None | Thermal.gruneisen | by which a gas has its pressure
+Thermal(material=LINEAR, c=3.0, theta_R=300.0, p_infinity=_) | 1.0 | Thermal.p_infinity | a stiffened gas
+Thermal(c=3.0, theta_R=300.0, gruneisen=_) | None | Thermal.gruneisen | which gives the pressure of a gas
 Thermal(material=_, c=3.0, theta_R=300.0) | 3 | Thermal.material | a Material
 Thermal(material=_, c=3.0, theta_R=300.0) | WARM | Thermal.material | a material without heat
-Thermal(material=_, c=3.0, theta_R=300.0) | Yosida(material=LINEAR, eps=1) | Thermal.material | goes around
+Thermal(material=_, c=3.0, theta_R=300.0) | Yosida(material=LINEAR, eps=1) | Thermal.material | put the Yosida
 Heat(conductivity=_) | -1.0, "much" | Heat.conductivity | number >= 0
 Heat(conductivity=_) | [[1, 1, 0], [0, 1, 0], [0, 0, 1]] | Heat.conductivity | a 3x3 matrix, symmetric
 Heat(source=_) | "hot" | Heat.source | a scalar function of the place and the time
 WallHeat(temperature=300.0, coefficient=_) | -1.0 | WallHeat.coefficient | a finite number >= 0
-WallHeat(temperature=300.0, coefficient=_) | None | WallHeat.coefficient | go together
+WallHeat(temperature=300.0, coefficient=_) | None | WallHeat.coefficient | are given together
 WallHeat(temperature=_, coefficient=1.0) | 0.0 | WallHeat.temperature | a finite number > 0
 WallHeat(flux=_) | nan | WallHeat.flux | a finite number
 WallHeat(flux=_) | None | WallHeat.flux | or a share of the friction
@@ -204,7 +204,7 @@ Activated(rule=_, E=1, theta_R=1) | STOKES | Activated.rule | a FlowRule
 Activated(rule=Creep(G_m=1), E=1, theta_R=1, temperature=_) | -3 | Activated.temperature | a finite number > 0
 Composite(rules=_) | ((),) | Composite.rules | at least one flow rule
 Composite(rules=(Perzyna(sigma_Y=1.0, G_m=1.0, H=_),)) | 1.0 | Composite.rules[0].H | a rule without hardening
-Composite(rules=(Creep(G_m=1.0, nu=_),)) | 1.0 | Composite.rules[0].nu | 0 within a sum
+Composite(rules=(Creep(G_m=1.0, nu=_),)) | 1.0 | Composite.rules[0].nu | 0 in a sum of flow rules
 StokesViscosity(K_v=_, G_v=Parameter("theta", start=x)) | -1.0 | StokesViscosity.K_v | a finite number >= 0
 PowerLaw(K_v=1, consistency=_, n=0.5) | 0 | PowerLaw.consistency | a finite number > 0
 PowerLaw(K_v=1, consistency=1, n=_) | 0 | PowerLaw.n | a number in (0, 5]
@@ -274,10 +274,10 @@ Parameter("theta", start=_) | PAIR | Parameter.start | a real scalar function
 StokesViscosity(K_v=_, G_v=1.0) | PAIR | StokesViscosity.K_v | a function of the initial place
 box(_, 0.5) | (1, 1e-8), | box.size | at least 1e-06 of the domain's largest length
 annulus(1, _, 0.5) | 1 + 1e-9 | annulus.thickness | at least 1e-06 of the domain's largest length
-Polygon(_) | ((0, 0), (2, 0), (2, 1), (3, 0), (1, 0), (1, -1)), | Polygon.points | 1 and 4 lie on each other
-Polygon(_) | ((0, 0), (2, 0), (1, 0), (1, 1)), | Polygon.points | 1 and 2 lie on each other
-Polygon(_) | ((0, 0), (1, 1), (1, 0), (0, 1)), | Polygon.points | edges that do not cross: 1 and 3 do
-Polygon(_) | ((0, 0), (0, 0), (1, 0), (0, 1)), | Polygon.points | points that differ from the one before
+Polygon(_) | ((0, 0), (2, 0), (2, 1), (3, 0), (1, 0), (1, -1)), | Polygon.points | edges 1 and 4 overlap
+Polygon(_) | ((0, 0), (2, 0), (1, 0), (1, 1)), | Polygon.points | edges 1 and 2 overlap
+Polygon(_) | ((0, 0), (1, 1), (1, 0), (0, 1)), | Polygon.points | edges that do not cross; edges 1 and 3 cross
+Polygon(_) | ((0, 0), (0, 0), (1, 0), (0, 1)), | Polygon.points | points, each different from the point before
 Union(_) | ((),) | Union.shapes | at least one shape
 Union((Ball((0, 0), 1.0), _)) | 3 | Union.shapes | a sequence of Shape objects
 Where(_) | PAIR | Where.function | scalar

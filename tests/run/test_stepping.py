@@ -223,7 +223,10 @@ def test_auto_asks_the_other_solver_where_no_part_is_solved(halvings, monkeypatc
     assert ledger.column("dt")[1:] == pytest.approx([DT] * 5)
     attempts = 2 * (halvings + 1)  # at the first step, and at the third one
     assert len(watch.seen) == attempts and run.solver.method == "coupled"
-    assert "the coupled solver is asked, and takes the next 2 steps" in watch.seen[halvings].reason
+    assert (
+        "the coupled solver tries this step and, on success, takes the next 2 steps"
+        in watch.seen[halvings].reason
+    )
     assert "takes the next 4 steps" in watch.seen[-1].reason
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-12
 
@@ -241,8 +244,8 @@ def test_where_no_solver_solves_a_step_both_are_named(monkeypatch):
     monkeypatch.setattr(Newton, "solve", lambda *given: Solution(Status.STALLED, (), "no"))
     newton = nv.NewtonOptions(split=SplitOptions(chosen_from=(1, 1)))
     for solver, said in (
-        ("auto", "no; the split solver has not solved it either"),
-        ("split", "the coupled solver is not asked: solver.method is 'split'"),
+        ("auto", "no; the split solver has not solved the step either"),
+        ("split", "the coupled solver cannot take the step instead: solver.method is 'split'"),
     ):
         run = halving(solver=solver, newton=newton, halvings=0)
         with pytest.raises(nv.StepError, match=said):

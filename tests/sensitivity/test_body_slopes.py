@@ -152,7 +152,7 @@ def test_without_one_of_its_parts_an_adjoint_is_wrong(monkeypatch):
 @pytest.mark.parametrize("method", ["tangent", "adjoint"])
 @pytest.mark.parametrize(
     ("column", "said"),
-    [("disc_x_max", "jumps from point to point"), ("ball_smeared", "counts parts of cells")],
+    [("disc_x_max", "jumps between points"), ("ball_smeared", "counts parts of cells")],
 )
 def test_columns_that_jump_are_refused(method, column, said):
     with pytest.raises(nv.ParameterError, match=said):

@@ -155,7 +155,7 @@ def test_a_stopped_fit_repeats_no_finished_run(tmp_path):
         if len(seen) == 2:
             simulation.request_stop()
 
-    with pytest.raises(nv.StopRequested, match="given up in run 3"):
+    with pytest.raises(nv.StopRequested, match="stopped in run 3"):
         nv.fit(simulation, data, progress=stop, **given)
     assert {path.name for path in tmp_path.iterdir()} == {"case.h5", "run-0001.h5", "run-0002.h5"}
     later = []

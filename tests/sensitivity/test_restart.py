@@ -130,7 +130,7 @@ def test_a_stop_is_honoured_between_two_stages_of_an_adjoint(tmp_path, monkeypat
 def test_a_stop_without_a_folder_gives_no_truncated_gradient():
     stopped = run()
     stopped.observers.append(StopsAt(2))
-    with pytest.raises(nv.StopRequested, match=r"given up, as requested$"):
+    with pytest.raises(nv.StopRequested, match=r"stopped, as requested$"):
         found(stopped, None)
 
 

@@ -106,10 +106,10 @@ def test_parameters_have_paths():
         (["cinetic at 0.06"], ["creep.G_m"], "did you mean 'kinetic'"),
         ([], ["creep.G_m"], "at least one number"),
         (["kinetic at 0.06"], [], "at least one parameter"),
-        (["kinetic at 0.06"], ["creep.G_q"], "unknown part of 'creep.G_q'"),
+        (["kinetic at 0.06"], ["creep.G_q"], "unknown part in 'creep.G_q': 'G_q'"),
         (["kinetic at 0.06"], ["creap.G_m"], "unknown part of a run 'creap'"),
-        (["kinetic at 0.06"], ["initial.velocity.0"], "a name that leads to a number"),
-        (["kinetic at 0.06"], ["creep.nu"], "a value with room"),
+        (["kinetic at 0.06"], ["initial.velocity.0"], "the name of one number"),
+        (["kinetic at 0.06"], ["creep.nu"], "a value at least 0.0002 from the ends"),
     ],
 )
 def test_what_has_no_derivative_is_refused(of, by, said):

@@ -121,19 +121,22 @@ FLAT = np.array([[_A, _B, _C], [_A, _C, _D], [_A, _D, _B], [_B, _D, _C]], dtype=
 @pytest.mark.parametrize(
     ("content", "expected"),
     [
-        (ascii_stl(cube()[:-1]), "3 of its 18 edges"),
+        (ascii_stl(cube()[:-1]), "3 of the 18 edges"),
         (binary_stl(cube()[1:]), "closed surface"),
         (ascii_stl(np.concatenate([cube()[:1, ::-1], cube()[1:]])), "closed surface"),
-        (binary_stl(np.concatenate([cube(), cube()])), "each triangle once: 12 of its 24 are there again"),
-        (ascii_stl(np.concatenate([cube(), cube()[:1, ::-1]])), "each triangle once: 1 of its 13"),
+        (
+            binary_stl(np.concatenate([cube(), cube()])),
+            "each triangle once; 12 of the 24 triangles are repeated",
+        ),
+        (ascii_stl(np.concatenate([cube(), cube()[:1, ::-1]])), "each triangle once; 1 of the 13"),
         (ascii_stl([]), "empty"),
         (binary_stl([]), "empty"),
         (b"", "whole STL file"),
         (binary_stl(cube())[:-7], "whole STL file"),
         (ascii_stl(cube())[:300], "whole STL file"),
         (ascii_stl(cube()).replace(b"vertex 0.2", b"vertex q", 1), "three corners"),
-        (ascii_stl(cube() * 0), "a point"),
-        (ascii_stl(FLAT), "encloses none"),
+        (ascii_stl(cube() * 0), "are one point"),
+        (ascii_stl(FLAT), "encloses a volume"),
     ],
 )
 def test_surface_that_is_not_closed_empty_or_broken_is_refused(tmp_path, content, expected):
@@ -149,7 +152,7 @@ def test_surface_that_is_missing_or_in_a_mesh_of_the_plane_is_refused(tmp_path):
         ClosedSurface(tmp_path / "none.stl")
     path = tmp_path / "cube.stl"
     path.write_bytes(ascii_stl(cube()))
-    with pytest.raises(ParameterError, match="mesh in space"):
+    with pytest.raises(ParameterError, match="mesh of three dimensions"):
         volumes(box((1, 1), maxh=0.5), [ClosedSurface(path)])
 
 

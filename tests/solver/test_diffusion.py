@@ -117,7 +117,7 @@ def test_what_cannot_be_is_refused(parts, message):
 def test_a_wall_says_something():
     with pytest.raises(ParameterError, match="a flux, or a potential and a coefficient"):
         nv.WallExchange()
-    with pytest.raises(ParameterError, match="go together"):
+    with pytest.raises(ParameterError, match="are given together"):
         nv.WallExchange(potential=1.0)
 
 

@@ -168,6 +168,6 @@ class Wrong(nv.FlowRule):
 
 def test_a_rate_of_the_wrong_sign_in_a_flow_is_warned_of():
     run = sheared(Wrong(), nv.ReferentialNeoHookean(K_e=5.0, G_e=5.0), dt=0.05, solver="coupled")
-    with pytest.warns(nv.CreepPowerWarning, match="creep gives energy"):
+    with pytest.warns(nv.CreepPowerWarning, match="creep produces energy"):
         ledger = run.run(0.1)
     assert ledger.column("creep_power_min").min() < 0

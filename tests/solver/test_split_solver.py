@@ -170,8 +170,8 @@ class Source:
 
 
 REFUSED = {
-    "a source takes the unknown v": lambda u, w: Integrand(u.v * w.v),
-    "a source takes the unknown rho": lambda u, w: Integrand(u.grad_rho[0] * w.rho),
+    "a source reads the unknown v": lambda u, w: Integrand(u.v * w.v),
+    "a source reads the unknown rho": lambda u, w: Integrand(u.grad_rho[0] * w.rho),
     "a source has a row of zeta": lambda u, w: Integrand(w.zeta[0]),
     "a source has a row of z_hat": lambda u, w: Integrand(facets=w.z_hat[0]),
 }

@@ -184,7 +184,7 @@ def test_a_run_that_ended_early_is_listed_as_stopped(case_file, tmp_path):
         ([], "nothing to vary"),
         (["--vary", "material.G_e=1,-2"], "material.G_e (set on the command line)"),
         (["--vary", "material.G_e=1,1.0"], "the same case"),
-        (["--vary", "material.G_e=1", "--set", "material.G_e=2"], "it is in both"),
+        (["--vary", "material.G_e=1", "--set", "material.G_e=2"], "the key is in both"),
         (["--vary", "domain.maxh=0.5,1e-9"], "domain"),
         (["--vary", "initial.density=1,'x - 2'"], "initial.density"),
         (["--vary", "material.G_e=1", "--scheduler", "nowhere"], "--scheduler nowhere"),
@@ -215,7 +215,7 @@ def test_an_address_without_a_port_is_refused_before_a_client_is_made(monkeypatc
 
 def test_a_worker_without_a_version_is_no_worker_of_none():
     client = SimpleNamespace(run=lambda version: {"tcp://there:1": None})
-    with pytest.raises(SweepError, match="tcp://there:1 has one of a clone that is not installed"):
+    with pytest.raises(SweepError, match="tcp://there:1 has a version of a clone that is not installed"):
         _check_workers(client, "tcp://there:0")
 
 

@@ -93,7 +93,9 @@ def test_a_run_goes_on_from_any_checkpoint_bit_for_bit(options, tmp_path):
 def test_a_checkpoint_of_another_scheme_is_refused(tmp_path):
     run = simulation(observers=[nv.Checkpoints(tmp_path / "run.h5")])
     run.run(0.02)
-    with pytest.raises(nv.CheckpointError, match=r"its scheme is 'midpoint.*this run's is 'sdirk2"):
+    with pytest.raises(
+        nv.CheckpointError, match=r"scheme of the checkpoint: 'midpoint.*of this run: 'sdirk2"
+    ):
         simulation(scheme="sdirk2").restore(tmp_path / "run.h5")
 
 

@@ -40,7 +40,7 @@ def require_symmetry(symmetry: Symmetry, walls: Walls, model: Model, terms: Iter
             raise ParameterError(f"loads[{load.name!r}]", across, expected)
     across_r, _ = axis_parallel_walls(walls.mesh)
     if names := walls.periodic.intersection(across_r[0]):
-        expected = f"'none' with {min(names)!r}, across which r would go on periodically"
+        expected = f"'none' with the periodic boundary {min(names)!r}, since the radius r is not periodic"
         raise ParameterError("Simulation.symmetry", AXISYMMETRIC, expected)
     for name in axis_of(walls, ON_AXIS * symmetry.largest_radius):
         wall = walls.conditions[name]
@@ -60,6 +60,8 @@ def axis_of(walls: Walls, near: float) -> list[str]:
         ]
         if ranks.any(any(on)):
             if not ranks.all(all(on)):
-                raise MeshError(f"wall {name!r} is the axis in a part only: give the axis a name of its own")
+                raise MeshError(
+                    f"a part of the wall {name!r} lies on the axis: give the axis a name of its own"
+                )
             names.append(name)
     return names

@@ -83,7 +83,7 @@ def periodic_boundaries(mesh: Mesh) -> set[str]:
     counts = {str(name): totals[names == name].sum(axis=0) for name in sorted(set(names))}
     for name, (free, both) in counts.items():
         if free and both:
-            raise MeshError(f"boundary {name!r} is periodic in a part only: give that part a name of its own")
+            raise MeshError(f"a part of the boundary {name!r} is periodic: give this part a name of its own")
     return {name for name, (_, both) in counts.items() if both}
 
 
@@ -121,8 +121,8 @@ def _interfaces(mesh: Mesh) -> set[int]:
     for name, (outer, inner) in zip(mesh.GetBoundaries(), totals, strict=True):
         if outer and inner:
             raise MeshError(
-                f"boundary {name!r} has a part that lies between cells in a part only: divide it, in the "
-                "geometry or by physical groups, into what is wall and what is interface"
+                f"a part of the boundary {name!r} lies between cells: divide the boundary, in the geometry "
+                "or by physical groups, into a wall and an interface"
             )
     return {int(i) for i in np.flatnonzero(totals[:, 1])}
 
@@ -168,12 +168,12 @@ def require_curved_cells(mesh: Mesh, walls: Mapping[str, Region]) -> None:
         if angle := bend(mesh, region):
             message = (
                 f"wall {name!r} is bent by {np.rad2deg(angle):.3g} degrees between straight facets, "
-                "like a polygon that stands for a curved wall: there v.n = 0 tends to no slip, however fine "
-                "the mesh; expected curved cells, mesh.Curve(order) on a mesh that knows its geometry (as "
-                "the functions of geometries do). If the wall really is a polyhedron, give its planes "
-                "names of their own, or say so by "
+                "like a polygon in place of a curved wall. On such a wall v.n = 0 tends to no slip, however "
+                "fine the mesh. Expected curved cells, by mesh.Curve(order) on a mesh with its geometry (as "
+                "the functions of geometries make it). For a wall that is a polyhedron, give the planes "
+                "names of their own, or the wall "
             )
-            raise MeshError(Words(message, call("Slip", straight=True), " for it"))
+            raise MeshError(Words(message, call("Slip", straight=True)))
 
 
 def bend(mesh: Mesh, wall: Region) -> float:

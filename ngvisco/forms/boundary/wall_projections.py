@@ -228,7 +228,10 @@ class VelocityOfMomentum:
             change = conjugate_gradients(operator, residual, inverse, product, _REDUCTION, _ITERATIONS)
             v[free] += project(change)
         if not left <= _ENOUGH * size:
-            raise StepError(f"the velocity of a momentum was solved to {left / size:.1e} only")
+            raise StepError(
+                "the velocity that belongs to a momentum was solved with a relative error of "
+                f"{left / size:.1e}"
+            )
         return mass @ v - rows
 
 

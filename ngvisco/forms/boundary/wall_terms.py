@@ -76,7 +76,7 @@ class Impenetrability(PointTerm):
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
         if setting.k < 2:
             names = ", ".join(map(repr, self._walls.multiplied))
-            expected = f"2 or 3 with the oblique or curved walls {names}, on which v.n = 0 has a multiplier"
+            expected = f"2 or 3 with the oblique or curved walls {names}: v.n = 0 has a multiplier on them"
             raise ParameterError("Discretisation.k", setting.k, expected)
         space = partial(self._walls.multiplier_space, k=setting.k)
         return (Unknown("wall_stress", "walls", space=space),)
@@ -422,8 +422,10 @@ def _not_known(model: Model) -> Words | None:
     """Reason why nothing can cross a wall with this model, or None."""
     law = model.regularisation
     if law is not None and law.rho_max is not None:
-        return Words("a cut-off density has fluxes of its own (", Mention("Regularisation.rho_max"), ")")
+        return Words(
+            "the flux of a cut-off density is unknown there (", Mention("Regularisation.rho_max"), ")"
+        )
     if law is not None and (law.delta_density or law.delta_fields):
         law_name = Mention("Regularisation.delta_fields")
-        return Words("what diffuses through it is not known (", law_name, ", delta_density)")
+        return Words("the diffusive flux is unknown there (", law_name, ", delta_density)")
     return None

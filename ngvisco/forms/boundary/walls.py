@@ -84,10 +84,10 @@ class Walls:
         interfaces = interior_boundaries(mesh)
         for name, wall in given.items():
             if name in self.periodic or name in interfaces:
-                reason = "is a periodic boundary"
+                reason = "the boundary is periodic"
                 if name in interfaces:
-                    reason = "lies between two cells and is no wall"
-                raise ParameterError(f"walls[{name!r}]", wall, f"no condition: it {reason}")
+                    reason = "the boundary lies between cells and is no wall"
+                raise ParameterError(f"walls[{name!r}]", wall, f"no condition: {reason}")
         names = sorted(set(mesh.GetBoundaries()) - self.periodic - interfaces)
         self.conditions: dict[str, Wall] = {name: given.get(name, Slip()) for name in names}
         self.axis, self.oblique = axis_parallel_walls(mesh)
@@ -269,8 +269,8 @@ class MovingWalls:
             size = Integrate(velocity * velocity, mesh, BND, definedon=region)
             normal_part = Integrate(normal * normal, mesh, BND, definedon=region)
             if not normal_part <= OPEN * size:
-                sizes = f"normal part {normal_part**0.5:.3g} of {size**0.5:.3g} in L2"
-                expected = "a tangential velocity: nothing crosses such a wall; an inlet is "
+                sizes = f"a velocity with the normal part {normal_part**0.5:.3g} of {size**0.5:.3g} (in L2)"
+                expected = "a tangential velocity, since nothing crosses such a wall; an inlet is "
                 inlet = call("Inflow", velocity=...)
                 raise ParameterError(f"walls[{name!r}].velocity", sizes, expected, inlet)
             velocity = velocity - normal * n

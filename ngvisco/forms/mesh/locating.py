@@ -59,7 +59,7 @@ class Located:
             self._at = locate(mesh, points, names)
             return
         if not isinstance(mesh, MeshPart):
-            expected = "a mesh that Simulation distributes itself, of which it knows the whole"
+            expected = "a whole mesh, which Simulation then distributes itself"
             raise ParameterError(names[0], "a distributed mesh", expected)
         mpi = self.ranks.mpi
         asked, called, cells = mpi.gather(points), mpi.gather(list(names)), mpi.gather(mesh.cells)

@@ -100,7 +100,9 @@ def check_loads(step: Step, sampler: Sampler, times: Iterable[float]) -> None:
     for field, value, function, expected in given:
         for t in _at(times):
             if not sampler.ranks.all(np.isfinite(sampler.values(function)).all()):
-                raise ParameterError(field, value, f"{expected}; at t = {t:g} s it is not finite somewhere")
+                raise ParameterError(
+                    field, value, f"{expected}; at t = {t:g} s the value is not finite somewhere"
+                )
 
 
 def check_walls(step: Step, times: Iterable[float]) -> None:
@@ -169,11 +171,11 @@ def _look(
     values = np.asarray(function(points))
     ranks = Communicator.of(step.mesh)
     if not ranks.all(np.isfinite(values).all()):
-        expected = f"finite values; at t = {t:g} s it is not finite on the wall"
+        expected = f"finite values; at t = {t:g} s the value is not finite on the wall"
         raise ParameterError(field, function if value is None else value, expected)
     least = ranks.least(values.min(initial=np.inf))
     if sign and (least < 0 or (least == 0 and sign == "> 0")):
-        expected = f"{name} {sign}; at t = {t:g} s it is {least:.3g} somewhere on the wall"
+        expected = f"{name} {sign}; at t = {t:g} s the value is {least:.3g} somewhere on the wall"
         raise ParameterError(field, f"{name} = {least:.4g}" if value is None else value, expected)
 
 
@@ -246,8 +248,8 @@ def _normal_parts(step: Step, velocity: VectorLike | None) -> Iterator[str]:
         if share > 0:
             yield Words(
                 Mention(f"walls[{name!r}].f"),
-                f": {share:.0%} of the traction (in L2) is normal to the wall; walls are impenetrable: "
-                "this part has no power and is left out, only the tangential part acts",
+                f": {share:.0%} of the traction (in L2) is normal to the wall. This part has no power at an "
+                "impenetrable wall and is left out; only the tangential part acts",
             )
     if velocity is None:
         return
@@ -259,8 +261,8 @@ def _normal_parts(step: Step, velocity: VectorLike | None) -> Iterator[str]:
     listed = ", ".join(f"{name} ({share:.0%})" for name, share in shares.items() if share > 0)
     if listed:
         yield (
-            f"initial velocity: parts of it (in L2) are normal to the walls {listed}; walls are "
-            "impenetrable: the run starts with its projection to v.n = 0"
+            f"initial velocity: parts of the velocity (in L2) are normal to the impenetrable walls {listed}; "
+            "the run starts with the projection of the velocity to v.n = 0"
         )
 
 
@@ -288,8 +290,8 @@ def _heat_at_walls(step: Step) -> Iterator[str]:
         if comes_in and not step.model.heat_law.conducts:
             yield Words(
                 Mention(f"walls[{name!r}].heat"),
-                ": nothing conducts what comes in: it heats the cells beside the wall, "
-                "the more the smaller they are; give a conductivity, ",
+                ": without a conductivity the incoming heat stays in the cells beside the wall, and the "
+                "temperature depends on their size; give a conductivity, ",
                 Mention("Heat.conductivity"),
             )
 
@@ -310,9 +312,9 @@ def _mismatches(step: Step, sampler: Sampler, values: Given) -> Iterator[str]:
         if worst > _MATCH**2 * scale:
             place = ", ".join(f"{c:.4g}" for c in sampler.place_of_largest(gap))
             yield (
-                f"initial values: {variable.name} does not follow from {distortion.name} (they differ by up "
-                f"to {worst**0.5:.3g}, at ({place}) m); both are transported as they are given, as "
-                "variables of their own"
+                f"initial values: {variable.name} does not follow from {distortion.name} (the difference is "
+                f"{worst**0.5:.3g}, at ({place}) m); both are transported with the given values, as "
+                "independent variables"
             )
 
 
@@ -336,8 +338,8 @@ def _moduli(step: Step) -> Iterator[str]:
         if most > _STIFFER * least:
             yield Words(
                 f"bodies {stiff!r} and {soft!r} have bulk moduli of {most:.4g} and {least:.4g} Pa: where "
-                f"polynomials of order m = {m} have less than nothing of {soft!r} there may be no common "
-                "pressure, and steps are divided. Take ",
+                f"the amount of {soft!r}, a polynomial of order m = {m}, is negative, the bodies may have "
+                "no common pressure, and steps are divided. Take ",
                 call("Discretisation", k=1, m=0),
                 ", in the plane on crossed "
                 "rectangles (structured_box, crossed = true), since other cells of order one lock; or one "
@@ -377,8 +379,9 @@ def warn_of_corners(step: Step, times: Sequence[float]) -> None:
         rate = rates[np.argmax(np.abs(rates[:, worst])), worst]
         message = (
             f"walls: their velocities alone determine div v = {rate:.3g} 1/s at ({at}) m, the corner of a "
-            f"cell whose edges there lie on walls; no pressure can hold its volume ({len(every)} such "
-            "cells): mesh with split_corners = true, or divide them by geometries.split_corner_cells(mesh)"
+            "cell whose edges there lie on walls; no pressure can hold the volume of this cell "
+            f"({len(every)} such cells): mesh with split_corners = true, or divide the cells by "
+            "geometries.split_corner_cells(mesh)"
         )
         ranks.warn(message, InputWarning, stacklevel=4)
 

@@ -102,8 +102,8 @@ class Column:
             self.referential = {"": CF(value_at(rho_R, given))}
         if step.discretisation.m == 0 and step.discretisation.k > 1:
             expected = (
-                "1 or 2, or k = 1 beside it, with equilibrium = 'hydrostatic': no pressure that is constant "
-                f"in cells bears a weight on velocities of order {step.discretisation.k}"
+                "1 or 2, or k = 1 beside m = 0, with equilibrium = 'hydrostatic': no pressure that is "
+                f"constant in cells bears a weight with velocities of order {step.discretisation.k}"
             )
             raise ParameterError("Discretisation.m", 0, expected)
         self.J = {name: GridFunction(L2(self.mesh, order=step.discretisation.m)) for name in self.laws}
@@ -168,7 +168,7 @@ class Column:
             last = values
         else:
             raise InitialDataError(
-                "equilibrium", "not found", "loads that the body bears: it gives way to them"
+                "equilibrium", "not found", "loads that the body can bear; it yields to the given loads"
             )
         release(self._inverse)
         self._say_what_is_left()
@@ -216,7 +216,7 @@ class Column:
                 return
         low, high = self.sampler.extrema(self.pressure)
         owner = f" of body {name!r}" if name else ""
-        expected = f"pressures that a volume{owner} has, which those from {low:.4g} to {high:.4g} Pa are not"
+        expected = f"pressures with a volume{owner}; some pressures from {low:.4g} to {high:.4g} Pa have none"
         raise InitialDataError("equilibrium", "no volume found", expected)
 
     def _at(self, datum: object) -> Callable[[CoefficientFunction], float]:
@@ -253,8 +253,8 @@ class Column:
         )
         if left > _UNBORNE * size:
             message = (
-                f"equilibrium: {left / size:.0%} of the loads are borne by no pressure, since the density "
-                "varies along levels, or within cells: the body will move"
+                f"equilibrium: no pressure bears {left / size:.0%} of the loads, since the density varies "
+                "along levels, or within cells: the body will move"
             )
             self.sampler.ranks.warn(message, InputWarning, stacklevel=4)
 
@@ -262,10 +262,10 @@ class Column:
 def require_open(step: Step, F: object, given: Mapping[str, object]) -> None:
     """Raise ParameterError for an equilibrium without loads, or with given strains that it determines."""
     if not step.model.loads:
-        raise ParameterError("Initial.equilibrium", "hydrostatic", "loads to be borne, such as Gravity")
+        raise ParameterError("Initial.equilibrium", "hydrostatic", "a model with loads, such as Gravity")
     if F is not None:
-        raise ParameterError("Initial.F", F, None, " beside an equilibrium, from which it follows")
+        raise ParameterError("Initial.F", F, None, " beside an equilibrium, from which F follows")
     for v in step.model.material.variables:
         if v.is_strain and v.name in given:
-            expected = "no value beside an equilibrium, from which it follows"
+            expected = "no value beside an equilibrium, from which the strain follows"
             raise ParameterError(f"Initial.values[{v.name!r}]", given[v.name], expected)

@@ -40,11 +40,13 @@ def starting_fractions(mesh: Mesh, bodies: Sequence[Body], order: int) -> StartV
             hidden = f"a place that {', '.join(above)}, of higher order, does not cover"
             raise ParameterError(f"bodies[{body.name!r}].where", body.where, hidden if is_seen else MISSED)
     if filler is None and of_rest > _OVERLAP * total:
-        expected = f"one without a place, for the rest: {of_rest / total:.2%} of the domain is in no body"
+        expected = (
+            f"one body without a place, for the rest: {of_rest / total:.2%} of the domain is in no body"
+        )
         raise ParameterError("Model.bodies", names, expected)
     if filler is not None and of_rest <= _COVERED * total:
         body, _ = max(zip(placed, of_placed, strict=True), key=lambda pair: pair[1])
-        expected = f"a place that leaves something of the domain to {filler.name!r}, the rest"
+        expected = f"a smaller place, since {filler.name!r}, the rest, would have nothing of the domain"
         raise ParameterError(f"bodies[{body.name!r}].where", body.where, expected)
     *fractions_of, of_none = fractions(mesh, list(shapes.values()), order)
     result: StartValues = dict(zip(shapes, fractions_of, strict=True))
@@ -65,7 +67,7 @@ def _require_some_body_in_each_cell(mesh: Mesh, names: Sequence[str], remainder:
             corners = mesh[ElementId(VOL, int(np.argmax(empty)))].vertices
             middle = np.mean([mesh[vertex].point for vertex in corners], axis=0)
             place = ", ".join(f"{c:.4g}" for c in middle)
-            expected = f"one without a place, for the rest: a cell at ({place}) is in no body"
+            expected = f"one body without a place, for the rest: a cell at ({place}) is in no body"
             raise ParameterError("Model.bodies", list(names), expected)
 
 
@@ -77,7 +79,7 @@ def _require_order(mesh: Mesh, placed: Sequence[Body], shapes: Mapping[str, Shap
             common, size = volumes(mesh, [a & b])[0], min(volumes(mesh, [s])[0] for s in (a, b))
             if common > _OVERLAP * size:
                 expected = (
-                    f"an order other than {first.order}, that of {first.name!r}: {common / size:.1%} of the "
-                    "smaller of the two is in both, and there is the one of higher order"
+                    f"an order other than {first.order}, the order of {first.name!r}: {common / size:.1%} "
+                    "of the smaller body is in both, and the body of higher order fills this part"
                 )
                 raise ParameterError(f"bodies[{second.name!r}].order", second.order, expected)

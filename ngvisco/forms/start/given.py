@@ -157,13 +157,13 @@ def grid_field(
     try:
         interpolate = RegularGridInterpolator(tuple(axes), array, method=method)
     except (TypeError, ValueError) as error:
-        expected = f"a grid: increasing axes and an array of their lengths ({error})"
+        expected = f"increasing axes, and an array with as many values along each axis ({error})"
         raise ParameterError("grid_field.values", f"shape {array.shape}", expected) from error
 
     def sampled(*where: np.ndarray) -> np.ndarray:
         for name, points, axis in zip("xyz", where, axes, strict=False):
             if points.min() < min(axis) or points.max() > max(axis):
-                expected = f"a range with [{points.min():.6g}, {points.max():.6g}] in it"
+                expected = f"a range that contains [{points.min():.6g}, {points.max():.6g}]"
                 raise ParameterError(f"grid_field.axes, {name}", [min(axis), max(axis)], expected)
         return np.moveaxis(interpolate(np.array(where).T), 0, -1)
 

@@ -105,14 +105,16 @@ class Initial:
 
     def __post_init__(self) -> None:
         if not isinstance(self.datum, str | None):
-            raise ParameterError("Initial.datum", self.datum, "the name of a wall; a point is datum_point")
+            raise ParameterError(
+                "Initial.datum", self.datum, "the name of a wall; a point is given as datum_point"
+            )
         require_fields(self)
         if self.datum is not None and self.datum_point is not None:
             raise ParameterError("Initial.datum_point", self.datum_point, None, " beside a wall as datum")
         without = {"datum": None, "datum_point": None, "datum_pressure": 0.0}
         for name, value in without.items() if self.equilibrium is None else ():
             if getattr(self, name) != value:
-                expected = 'nothing without equilibrium = "hydrostatic", to which it belongs'
+                expected = 'no such value without equilibrium = "hydrostatic"'
                 raise ParameterError(f"Initial.{name}", getattr(self, name), expected)
 
 
@@ -264,7 +266,7 @@ def _at_rest(
     material = step.model.material
     require_open(step, initial.F, initial.values)
     if initial.density is not None and material.referential_density is not None:
-        expected = (None, " beside an equilibrium: it is rho_R/J")
+        expected = (None, " beside an equilibrium, from which the density rho_R/J follows")
         raise ParameterError("Initial.density", initial.density, *expected)
     density = None
     if initial.density is not None:
@@ -286,7 +288,9 @@ def _of_bodies(
     if not isinstance(material, Mixture):
         return {}
     if initial.density is not None:
-        raise ParameterError("Initial.density", initial.density, None, " with bodies, which have theirs")
+        raise ParameterError(
+            "Initial.density", initial.density, None, " with bodies, each of which has its density"
+        )
     for name in sorted(set(initial.values) & {AMOUNT + name for name in shares}):
         raise ParameterError("Initial.values", name, "places of the bodies, not amounts")
     return {name: v for name, v in material.filled(shares, distortions).items() if name not in initial.values}
@@ -316,7 +320,7 @@ def _require_no_time(initial: Initial) -> None:
     given |= {f"values[{name!r}]": value for name, value in initial.values.items()}
     for name, value in given.items():
         if any(reads_time(part) for part in _functions_in(value)):
-            expected = "a function of the place alone; it reads the time, which at the start is 0"
+            expected = "a function of the place alone; the given one reads the time"
             raise ParameterError(f"Initial.{name}", value, expected)
 
 
@@ -337,7 +341,7 @@ def _check_continuation(material: Material, values: Given, sampler: Sampler) -> 
         J = volume_ratio(part, {v.name: values[v.name] for v in part.variables})
         if (least := sampler.extrema(J)[0]) < J_min:
             expected = (
-                f"less than J at the start, which is {least:.4g} somewhere: its energy has no barrier there"
+                f"less than {least:.4g}, the least J at the start: below J_min the energy has no barrier"
             )
             raise ParameterError(f"{type(part).__name__}.J_min", J_min, expected)
 
@@ -373,7 +377,7 @@ def _check_density(
         range_ = f"rho_0 J_0 from {low:.7g} to {high:.7g} kg/m^3"
         low, high = sampler.extrema(rho_R)
         referential = f"rho_R = {low:.7g}" if low == high else f"rho_R, from {low:.7g} to {high:.7g} kg/m^3,"
-        expected = f"{referential} there, or one of density and J only, from which the other follows"
+        expected = f"{referential} there, or no density beside J, or no J beside the density"
         raise InitialDataError("density rho_0", range_, expected, "Initial.density")
 
 
@@ -394,7 +398,9 @@ def _check_spaces(step: Step, given: Given, values: Given, sampler: Sampler) -> 
             shape = "symmetric" if variable.kind == "symmetric" else "3x3"
             if step.mesh.dim == 2:
                 shape += " with zero 13, 23, 31, 32 entries (plane strain)"
-            raise InitialDataError(f"{variable.name}_0", "entries that its space does not hold", shape, key)
+            raise InitialDataError(
+                f"{variable.name}_0", "entries that a tensor of this kind does not have", shape, key
+            )
 
 
 def _impose_walls(step: Step, v_0: CoefficientFunction) -> None:

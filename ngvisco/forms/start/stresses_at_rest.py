@@ -37,7 +37,7 @@ def where_bodies_meet(step: Step) -> Iterator[str]:
         values = ", ".join(f"{stress:.4g} Pa" for stress in stresses.values())
         yield Words(
             f"bodies {names} meet with different stresses at rest, T(I) = {values} (mean normal stress): "
-            f"they move from the first step on until they balance. {_REMEDY}"
+            f"the bodies move from the first step on until their stresses balance. {_REMEDY}"
             "or start where the stresses agree (",
             Mention("Initial.F"),
             ", or ",

@@ -65,10 +65,7 @@ class Flux(PointTerm):
     def require_order(self, m: int) -> None:
         """Raise ParameterError for m = 0, whose fluxes by a penalty are not consistent."""
         if m == 0:
-            expected = (
-                f"1 or 2 where there is a flux of {self.name}: constants in cells have no gradient "
-                "(or none of its mobility)"
-            )
+            expected = f"1 or 2 with a flux of {self.name}, since constants in cells have no gradient"
             raise ParameterError("Discretisation.m", 0, expected)
 
     def into(self, u: Fields) -> CoefficientFunction:

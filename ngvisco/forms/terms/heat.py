@@ -93,10 +93,12 @@ class Heating(_OfEntropy):
         for name, share in self._to_walls.items():
             if (friction := dissipated.get(f"dissipation_friction_{name}")) is None:
                 expected = (
-                    "1 on a wall without friction, as NavierFriction or ",
+                    "1, the default, on a wall without friction; NavierFriction and ",
                     call("Traction", friction=...),
                 )
-                raise ParameterError(f"walls[{name!r}].heat.friction_share", 1 - share, *expected, " have")
+                raise ParameterError(
+                    f"walls[{name!r}].heat.friction_share", 1 - share, *expected, " have friction"
+                )
             powers[f"power_heat_friction_{name}"] = -share * friction
         return powers
 
@@ -145,7 +147,7 @@ class Heating(_OfEntropy):
             for entry in () if term is self else term.entries(u):
                 if entry.kind == "dissipation" and entry.name not in dissipations and not entry.is_outside:
                     name = type(term).__name__
-                    expected = f"{name}: {entry.name!r} stated by ``dissipated``, from which heat is made"
+                    expected = f"that {name}.dissipated returns {entry.name!r}, which heats the material"
                     raise ParameterError("Simulation.terms", name, expected)
 
 
@@ -228,6 +230,6 @@ def heat_terms(model: Model, walls: Walls) -> list[Term]:
     at_walls = (HeatThroughWall(law, entropy, walls, name, heat) for name, heat in heats)
     heating = Heating(law, entropy, walls)
     if model.regularisation is not None and model.regularisation.delta_fields > 0:
-        heating.coupled_only = "what delta_fields dissipates is made of phi'' by forms"
+        heating.coupled_only = "the dissipation of delta_fields is a form of phi''"
     terms: list[Term] = [heating, *at_walls]
     return terms + (Conduction(law, entropy).terms if law.conducts else [])

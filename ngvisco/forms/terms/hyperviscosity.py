@@ -49,7 +49,7 @@ class Hyperviscosity(PointTerm):
 
     law: HyperViscosity
     kernel, group = "hyperviscosity", ""
-    plane_only = "about an axis the second gradient has v_r/r and its slopes besides"
+    plane_only = "about an axis the second gradient has further terms of v_r/r"
 
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
         k, dim = setting.k, setting.dim

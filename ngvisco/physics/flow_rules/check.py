@@ -52,7 +52,7 @@ def _readable(name: str, law: FlowRule | Viscosity, material: Material) -> dict[
         expected = (
             "a number, a function of the initial place or an expression: the material has no temperature; "
         )
-        remedy = (call("Thermal", material=...), " gives it one")
+        remedy = (call("Thermal", material=...), " gives a material a temperature")
         raise ParameterError(f"{name}.temperature", None, expected, *remedy)
     return z
 
@@ -79,7 +79,7 @@ def check_viscosity(law: Viscosity, material: Material) -> None:
             f"{name}.stress", power < -_ROUNDING * large, tested, power, sizes, "D(eps) : eps >= 0", "eps"
         )
         falls = risen - power < -_ROUNDING * large
-        expected = "a stress that rises with eps, of a convex potential"
+        expected = "a stress with a convex potential, which rises with eps"
         _refuse(f"{name}.stress", falls, tested, risen - power, sizes, expected, "eps")
 
 
@@ -119,7 +119,9 @@ def check_rule(rule: FlowRule, material: Material) -> None:
         force = force - np.eye(3)[:, :, None] * np.einsum("iip->p", force) / 3
         gap = np.sqrt(((force - M.value) ** 2).sum(axis=(0, 1))) / sizes
         tested &= (size > 1e3 * rule.rate_floor) & np.isfinite(gap)
-        _refuse(f"{name}.psi", gap > _INVERSE, tested, gap, sizes, "psi'(rate(M)) = M; its relative distance")
+        _refuse(
+            f"{name}.psi", gap > _INVERSE, tested, gap, sizes, "psi'(rate(M)) = M; the relative difference"
+        )
 
 
 @contextmanager

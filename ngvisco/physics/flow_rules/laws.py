@@ -363,9 +363,16 @@ class Composite(FlowRule):
             raise ParameterError("Composite.rules", self.rules, "at least one flow rule")
         for i, rule in enumerate(self.rules):
             if not rule.is_local:
-                raise ParameterError(f"Composite.rules[{i}].nu", rule.nu, "0 within a sum")
+                raise ParameterError(
+                    f"Composite.rules[{i}].nu",
+                    rule.nu,
+                    "0 in a sum of flow rules, which has no gradient term",
+                )
             if rule.hardening is not None:
-                expected = "a rule without hardening: the rate of a sum does not tell its plastic strain"
+                expected = (
+                    "a rule without hardening, since a sum of flow rules has no plastic strain for one of "
+                    "them"
+                )
                 name = "Q" if rule.hardening.H == 0 else "H"
                 value = getattr(rule.hardening, name)
                 raise ParameterError(f"Composite.rules[{i}].{name}", value, expected)

@@ -164,19 +164,21 @@ class Damaged(Wrapper):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.area == "reference" and self.is_linearised:
-            expected = "'actual' with a material of small strain, whose areas are one and the same"
+            expected = "'actual' with a material of small strain, whose actual and reference areas are equal"
             raise ParameterError("Damaged.area", self.area, expected)
         expected = ""
         if part_of(self.material, Damaged) is not None:
             expected = "a material without damage"
         elif entropy_in(self.material) is not None:
             expected = Words(
-                "a material without heat; ", call("Thermal", material=...), " around the damaged one has both"
+                "a material without heat; ",
+                call("Thermal", material=...),
+                " around a damaged material has heat and damage",
             )
         elif self.material.response(3) is not None:
             expected = "a material whose energy is an expression, not that of a Yosida approximation"
         elif any(parameter.name == DAMAGE.name for parameter in parameters_in((self.material,))):
-            expected = "moduli that do not read the damage, which degrades the energy by g(d)"
+            expected = "moduli that do not read the damage, since g(d) already degrades the energy"
         if expected:
             raise ParameterError("Damaged.material", self.material, expected)
         self._check_branches()
@@ -205,7 +207,7 @@ class Damaged(Wrapper):
         for v in self.material.variables:
             is_spherical = isinstance(v, (SmallStrain, Jacobian, ReciprocalJacobian, LogJacobian, Parameter))
             if not is_spherical and v.volume_ratio(CF((1, 0, 0, 0, 1, 0, 0, 0, 1), dims=(3, 3))) is None:
-                expected = f"a material without {v.name!r}, of which no spherical state is known"
+                expected = f"a material without {v.name!r}, a variable whose spherical part is unknown"
                 raise ParameterError("Damaged.material", self.material, expected)
         if any(True for _ in expressions_in(self.material)):
             return
@@ -213,7 +215,8 @@ class Damaged(Wrapper):
         slope, stiffness = rest_stress_and_modulus(self._breaking)
         if not abs(slope) <= 1e-9 * max(abs(stiffness), abs(energy_at_rest)):
             expected = (
-                f"one without stress at rest, where d phi/dJ is {slope:.4g} Pa; a Referential one has none"
+                "a material without stress at rest, such as a Referential one; here d phi/dJ is "
+                f"{slope:.4g} Pa"
             )
             raise ParameterError("Damaged.material", self.material, expected)
         object.__setattr__(self, "_rest", energy_at_rest)

@@ -62,7 +62,9 @@ class _Parts(dict[str, Branch]):
         return hash(tuple(self.items()))
 
     def __setitem__(self, name: str, branch: Branch) -> None:
-        raise TypeError("the branches of a network stay: make another one by dataclasses.replace")
+        raise TypeError(
+            "the branches of a network cannot change: make another network by dataclasses.replace"
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,7 +162,7 @@ class Network(Material):
                 if v.creeps or isinstance(v, Parameter):
                     continue
                 if shared.setdefault(v.name, v) != v:
-                    expected = f"the variable {v.name!r} of the branches before, or another name for another"
+                    expected = f"another name than {v.name!r}, or the same variable as in the branches before"
                     raise ParameterError(f"Network.branches[{name!r}].material", branch.material, expected)
         materials = (branch.material for branch in self.parts.values())
         parameters = distinct(v for m in materials for v in m.variables if isinstance(v, Parameter))
@@ -212,7 +214,7 @@ class Network(Material):
         """Raise ParameterError if two variables of the branches have one name."""
         names = [v.name for v in self.variables]
         if twice := [name for name in names if names.count(name) > 1]:
-            expected = f"other names: two variables of the branches would be {twice[0]!r}"
+            expected = f"other names, since two variables of the branches would have the name {twice[0]!r}"
             raise ParameterError("Network.branches", list(self.parts), expected)
 
     def _check_volume(self) -> None:
@@ -221,10 +223,12 @@ class Network(Material):
             n: any(isinstance(v, SmallStrain) for v in b.material.variables) for n, b in self.parts.items()
         }
         if len(set(small.values())) > 1:
-            expected = "branches of small strain alone, or of large strains alone: they share one volume"
+            expected = (
+                "branches of small strain alone, or of large strains alone, since branches share one volume"
+            )
             raise ParameterError("Network.branches", list(small), expected)
         if not rest_stress_and_modulus(self)[1] > 0:
-            expected = "a bulk modulus > 0 of one branch at least: this network bears no pressure"
+            expected = "a bulk modulus > 0 of at least one branch, since the network has to bear pressure"
             raise ParameterError("Network.branches", list(self.parts), expected)
 
 
@@ -252,16 +256,19 @@ def _faults(branch: Branch) -> Iterator[tuple[str, str]]:
     material, rule = branch.material, branch.creep
     check_material(material)
     if part_of(material, Network) is not None:
-        yield "material", "a material without branches: make its branches branches of this network"
+        yield "material", "a material without branches; give the inner branches to this network"
     if any(v.is_conserved for v in material.variables) or material.lagged:
-        expected = "a material without heat and damage, which wrap the network: "
+        expected = "a material without heat and damage; give these to the network, as in "
         yield "material", Words(expected, call("Thermal", material=...))
     if material.response(3) is not None:
-        yield "material", "a material whose energy is an expression; Yosida goes around the network"
+        yield (
+            "material",
+            "a material whose energy is an expression; put the Yosida approximation around the network",
+        )
     if rule is None:
         return
     if not rule.is_local:
-        yield "creep.nu", "0: the creep of a branch is local"
+        yield "creep.nu", "0, since the creep of a branch has no gradient term"
     if rule.flows and rule.reads_conjugate and material.conformation is None:
         yield (
             "creep",

@@ -135,9 +135,9 @@ class Ogden(Material):
         super().__post_init__()
         for name in ("mu", "alpha"):
             if not (values := getattr(self, name)):
-                raise ParameterError(f"Ogden.{name}", values, "one number or more")
+                raise ParameterError(f"Ogden.{name}", values, "at least one number")
         if len(set(self.alpha)) < len(self.alpha):
-            raise ParameterError("Ogden.alpha", self.alpha, "exponents of which no two are equal")
+            raise ParameterError("Ogden.alpha", self.alpha, "distinct exponents")
         if len(self.mu) != len(self.alpha):
             if len(self.alpha) > len(self.mu):
                 raise ParameterError(
@@ -149,7 +149,7 @@ class Ogden(Material):
             form = ' by B; take elastic_state = "F"' if least == 2 else ""
             raise ParameterError("Ogden.alpha", self.alpha, f"{least:g} <= |alpha| <= 12, to be convex{form}")
         if not all(0 < mu * alpha < math.inf for mu, alpha in zip(self.mu, self.alpha, strict=True)):
-            raise ParameterError("Ogden.mu", self.mu, "finite moduli of the signs of their exponents")
+            raise ParameterError("Ogden.mu", self.mu, "finite moduli, each with the sign of its exponent")
 
     def with_elastic_state(self, state: ElasticState) -> Self:
         if self.elastic_state is not None:

@@ -80,10 +80,14 @@ class PerReferentialVolume(Material):
         super().__post_init__()
         field_name = f"{type(self).__name__}.material"
         if self.material.response(3) is not None:
-            expected = "a material whose energy is an expression; a Yosida approximation goes around this one"
+            expected = (
+                "a material whose energy is an expression; put the Yosida approximation around this material"
+            )
             raise ParameterError(field_name, self.material, expected)
         if part_of(self.material, Network) is not None:
-            raise ParameterError(field_name, self.material, "a material without branches: wrap each of them")
+            raise ParameterError(
+                field_name, self.material, "a material without branches; wrap the material of each branch"
+            )
         for v in self.material.variables:
             if v.is_strain and not isinstance(v, (Jacobian, DistortionTensor)):
                 admitted = "a material of J = det F and of F, Cof F, F F^T, Cof(F F^T) times powers of J"
@@ -182,10 +186,16 @@ class ReferenceEnergy(Material):
                 admitted = "a material of J and of F, Cof F, F F^T, Cof(F F^T) times powers of J"
                 expected = f"{admitted}, not of {v.name!r}"
                 if isinstance(v, SmallStrain):
-                    expected += "; ReferentialNeoHookean of half the G_e is LinearElastic at small strains"
+                    expected += (
+                        "; at small strains ReferentialNeoHookean with half of the G_e equals LinearElastic"
+                    )
                 raise ParameterError(self.owner, self.material, expected)
         if not any(isinstance(v, of_volume) for v in self.material.variables):
-            raise ParameterError(self.owner, self.material, "a material with J or 1/J: bodies share a volume")
+            raise ParameterError(
+                self.owner,
+                self.material,
+                "a material with J or 1/J, since bodies share the volume of a point",
+            )
         if self.material.response(3) is not None:
             expected = "a material whose energy is an expression; a Yosida approximation has none"
             raise ParameterError(self.owner, self.material, expected)
@@ -272,10 +282,10 @@ class ReferenceEnergy(Material):
         coupled = abs(hessian[:, volume] * tensors).max(initial=0.0)
         if not len(hessian) or not coupled <= _ROUNDING * abs(hessian).max():
             expected: str = Words(
-                "an energy f(B) + U(J) per reference volume: one per actual volume is not convex there; "
-                "IsochoricNeoHookean, ReferentialNeoHookean, ReferentialMooneyRivlin, ",
+                "an energy f(B) + U(J) per reference volume, since an energy per actual volume is not "
+                "convex there; IsochoricNeoHookean, ReferentialNeoHookean, ReferentialMooneyRivlin, ",
                 call("PerReferentialVolume", material=...),
-                ' by elastic_state = "B" have it',
+                ' with elastic_state = "B" have such an energy',
             )
             raise ParameterError(self.owner, self.material, expected)
         if not (hessian[:, volume, volume] > 0).all() and not self.is_gas:

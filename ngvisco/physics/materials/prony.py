@@ -85,10 +85,10 @@ def prony_network(
         raise ParameterError("prony_network.of", of, '"G_0" or "G_inf"')
     shifts = {"E": E, "C_1": C_1, "C_2": C_2}
     if (C_1 is None) != (C_2 is None) or (E is not None and C_1 is not None):
-        raise ParameterError("prony_network.C_1", shifts, "E alone, C_1 and C_2 together, or none")
+        raise ParameterError("prony_network.C_1", shifts, "E alone, C_1 and C_2 together, or none of them")
     left = 1 - float(rows[:, 0].sum()) if of == "G_0" else 1.0
     if left < -1e-12:
-        expected = f"shares of G_0 whose sum is at most 1, not {1 - left:.6g}; those of G_inf have no bound"
+        expected = f"shares of G_0 whose sum is at most 1, not {1 - left:.6g}; shares of G_inf have no bound"
         raise ParameterError("prony_network.prony", prony, expected)
     parts = {}
     if left > 1e-12:
@@ -146,7 +146,7 @@ def _shear_modulus(material: Any) -> tuple[Any, Literal["mandel", "conformation"
         return 2 * material.G_e, "mandel"
     expected = "a material of small strain, a Referential one, IsochoricNeoHookean, OldroydB or FENEP"
     if isinstance(material, IsotropicElastic):
-        expected += ": other energies have no known part of shear alone"
+        expected += ", since the energy of other materials has no separate part of shear"
     raise ParameterError("prony_network.material", material, expected)
 
 

@@ -67,7 +67,10 @@ class Entropy(Variable):
 
 
 NO_TEMPERATURE = Words(
-    None, " for a material without a temperature; ", call("Thermal", material=...), " gives it one"
+    None,
+    " for a material without a temperature; ",
+    call("Thermal", material=...),
+    " gives a material a temperature",
 )
 """Remedy in messages about a parameter of heat in a material without an entropy."""
 
@@ -133,22 +136,24 @@ class Thermal(Material):
         super().__post_init__()
         material, Gamma = self.material, self.gruneisen or 0.0
         if material is None and self.expansion is not None:
-            expected = " without a material: a gas has its pressure by gruneisen, > 0"
+            expected = " without a material, since the pressure of a gas is given by gruneisen > 0"
             raise ParameterError("Thermal.expansion", self.expansion, None, expected)
         if self.expansion is not None and self.gruneisen is not None:
             raise ParameterError("Thermal.gruneisen", self.gruneisen, None, " beside an expansion")
         if material is None and not self.gruneisen:
-            expected = "a number > 0, by which a gas has its pressure; else a material that is no gas"
+            expected = "a number > 0, which gives the pressure of a gas, or a material"
             raise ParameterError("Thermal.gruneisen", self.gruneisen, expected)
         if material is not None and entropy_in(material) is not None:
             raise ParameterError("Thermal.material", material, "a material without heat")
         if material is not None and material.response(3) is not None:
-            expected = "a material whose energy is an expression; a Yosida approximation goes around this one"
+            expected = (
+                "a material whose energy is an expression; put the Yosida approximation around this material"
+            )
             raise ParameterError("Thermal.material", material, expected)
         if material is not None and material.lagged and (self.expansion or self.gruneisen):
             self._check_damage(material)
         if material is not None and self.p_infinity:
-            expected = "0 with a material, which has its own pressure: p_infinity stiffens a gas"
+            expected = "0 with a material, since p_infinity belongs to a stiffened gas"
             raise ParameterError("Thermal.p_infinity", self.p_infinity, expected)
         if self.expansion and material is not None:
             Gamma = self.expansion * rest_stress_and_modulus(material)[1] / self.c
@@ -160,11 +165,11 @@ class Thermal(Material):
     def _check_damage(self, material: Material) -> None:
         """Raise ParameterError for a thermal stress that a broken material would keep."""
         if self.gruneisen:
-            expected = " for a material that breaks, whose thermal stress is by its expansion"
+            expected = " for a material that breaks, whose thermal stress is given by expansion"
             raise ParameterError("Thermal.gruneisen", self.gruneisen, None, expected)
         if getattr(material, "part", None) != "all":
             expected = (
-                " for a material of which damage takes the tensile part: its thermal stress would stay; "
+                " for damage of the tensile part, since the thermal stress would stay in a broken body; "
             )
             remedy = (call("Damaged", part="all"), " takes it")
             raise ParameterError("Thermal.expansion", self.expansion, None, expected, *remedy)

@@ -258,7 +258,7 @@ class _Approximation:
         if len(finite) < len(states):
             return f"{text}the variables are not finite at {len(states) - len(finite)} points"
         for good, at, fault, remedy in (
-            (solved, finite, "no minimiser at {} points", ", or not singular where it ends"),
+            (solved, finite, "no minimiser at {} points", ", or stays finite at the end of its domain"),
             (definite, finite[solved], "{} points are no minima", ", take a smaller eps"),
         ):
             if not good.all():

@@ -181,7 +181,9 @@ class Preconditioner:
         whole = partial(direct_solver, free, exchange, self.unknowns.velocity_block == ["v"])
         largest = (options.direct_at_most if jumps else options.direct_up_to)[self.dim - 2]
         if count <= largest:
-            self.without_multigrid = f"up to {largest} unknowns of v are factorised as a whole, here {count}"
+            self.without_multigrid = (
+                f"the {count} unknowns of v are factorised as a whole, as are up to {largest}"
+            )
             return whole()
         if count <= options.direct_at_most[self.dim - 2]:
             self._whole = whole
