@@ -442,9 +442,7 @@ def _check_names(material: Material, z: Values) -> None:
     for name in material.positive(z):
         if name and name not in names:
             owner = type(material).__name__
-            raise UnknownNameError(
-                f"variable in {owner}.positive (a bound of several variables has the name '')", name, names
-            )
+            raise UnknownNameError(f"variable of {owner}.positive ('' for a sum of several)", name, names)
 
 
 def _or_least(values: Any) -> Any:

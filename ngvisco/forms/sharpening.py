@@ -95,10 +95,7 @@ def check_sharp(step: Step) -> None:
             len(densities) > 1,
             " for bodies of different densities: sharpening would move momentum",
         ),
-        (
-            not material.has_one_volume,
-            " for bodies of different volumetric energies: sharpening would raise the energy",
-        ),
+        (not material.has_one_volume, " for different volumetric energies: energy would rise"),
         (
             not all(psi.is_linear for psi in material.energies.values()),
             " unless energies are linear in B",
@@ -170,8 +167,7 @@ class Sharpening:
             longest = 0.9 * FAR / self.swept * self._tau
             message = (
                 f": the step carried an interface over {self.swept:.2g} of a cell's height, and steps over "
-                f"more than {FAR:g} displace it: take time.dt (or dt_max) <= {longest:.2g} s, or larger "
-                "cells there"
+                f"more than {FAR:g} displace it: take dt or dt_max <= {longest:.2g} s, or larger cells there"
             )
             words = Words(Mention(_FIELD), " = ", True, message)
             self._ranks.warn(words, InputWarning, stacklevel=5)

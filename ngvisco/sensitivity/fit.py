@@ -437,9 +437,7 @@ def _bounds(parameter: Named, given: tuple[float, float] | None) -> tuple[float,
     value = parameter.value
     if given is None:
         if value == 0:
-            raise ParameterError(
-                "fit.bounds", None, f"bounds of {parameter.name}, since its start value is 0"
-            )
+            raise ParameterError("fit.bounds", None, f"bounds of {parameter.name}, whose start is 0")
         low, high = sorted((value / _RANGE, value * _RANGE))
         return low, high
     try:

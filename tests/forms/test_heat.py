@@ -248,7 +248,7 @@ def test_entropy_that_is_zero_has_rounding():
     assert 0 < -min(run.ledger.column(PRODUCTION + "upwinding")) < 1e-12  # the rounding of heat over a step
 
 
-@pytest.mark.filterwarnings("ignore:.*of the momentum that there is")
+@pytest.mark.filterwarnings("ignore:.*of the present momentum")
 def test_a_wall_of_a_huge_heat_transfer_coefficient_has_the_rounding_of_its_exchange():
     """The exchange is coefficient times a difference of temperatures in their last digits."""
     walls = {"left": 400.0, "right": 300.0}

@@ -105,9 +105,7 @@ class Initial:
 
     def __post_init__(self) -> None:
         if not isinstance(self.datum, str | None):
-            raise ParameterError(
-                "Initial.datum", self.datum, "the name of a wall; a point is given as datum_point"
-            )
+            raise ParameterError("Initial.datum", self.datum, "the name of a wall; see datum_point")
         require_fields(self)
         if self.datum is not None and self.datum_point is not None:
             raise ParameterError("Initial.datum_point", self.datum_point, None, " beside a wall as datum")
@@ -288,9 +286,7 @@ def _of_bodies(
     if not isinstance(material, Mixture):
         return {}
     if initial.density is not None:
-        raise ParameterError(
-            "Initial.density", initial.density, None, " with bodies, each of which has its density"
-        )
+        raise ParameterError("Initial.density", initial.density, None, " with bodies: give each its own")
     for name in sorted(set(initial.values) & {AMOUNT + name for name in shares}):
         raise ParameterError("Initial.values", name, "places of the bodies, not amounts")
     return {name: v for name, v in material.filled(shares, distortions).items() if name not in initial.values}
@@ -398,9 +394,7 @@ def _check_spaces(step: Step, given: Given, values: Given, sampler: Sampler) -> 
             shape = "symmetric" if variable.kind == "symmetric" else "3x3"
             if step.mesh.dim == 2:
                 shape += " with zero 13, 23, 31, 32 entries (plane strain)"
-            raise InitialDataError(
-                f"{variable.name}_0", "entries that a tensor of this kind does not have", shape, key
-            )
+            raise InitialDataError(f"{variable.name}_0", "entries of another kind of tensor", shape, key)
 
 
 def _impose_walls(step: Step, v_0: CoefficientFunction) -> None:
