@@ -442,7 +442,7 @@ def _check_names(material: Material, z: Values) -> None:
     for name in material.positive(z):
         if name and name not in names:
             owner = type(material).__name__
-            raise UnknownNameError(f"variable of {owner}.positive ('' for a sum of several)", name, names)
+            raise UnknownNameError(f"variable of {owner}.positive ('' for a bound of several)", name, names)
 
 
 def _or_least(values: Any) -> Any:
