@@ -368,7 +368,7 @@ def require_effect(owner: Any, has_effect: bool, where: str, *names: str) -> Non
         return
     for field in dataclasses.fields(owner):
         if field.name in names and (value := getattr(owner, field.name)) != field.default:
-            expected = f"{field.default}, the default: it has no effect {where}"
+            expected = f"{field.default}, the default, since {field.name} has no effect {where}"
             raise ParameterError(f"{type(owner).__name__}.{field.name}", value, expected)
 
 

@@ -272,7 +272,9 @@ class Evaluator:
         if isinstance(a, float) and isinstance(b, float):
             return self._finite(node, _BINARY[kind], a, b)
         if kind in (ast.Add, ast.Sub) and is_tensor(a) != is_tensor(b):
-            raise self._error(node, "a scalar cannot be added to a tensor (the identity is I)")
+            raise self._error(
+                node, "a scalar cannot be added to a tensor; multiply the scalar by the identity I"
+            )
         if kind is ast.Div and is_tensor(b):
             raise self._error(node, "a divisor cannot be a tensor (inv(A) is the inverse of A)")
         if kind is ast.Div and isinstance(b, float) and b == 0.0:

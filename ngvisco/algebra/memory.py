@@ -22,8 +22,8 @@ _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
 def return_large_arrays() -> bool:
     """Fix the bound at ``LARGE`` for the whole process; return whether the C library does so.
 
-    Bounds in the environment, ``MALLOC_MMAP_THRESHOLD_`` or ``GLIBC_TUNABLES``, have precedence. Other C
-    libraries stay as they are.
+    Bounds in the environment, ``MALLOC_MMAP_THRESHOLD_`` or ``GLIBC_TUNABLES``, have precedence. With
+    other C libraries the function changes nothing.
     """
     tunables = os.environ.get("GLIBC_TUNABLES", "")
     if "MALLOC_MMAP_THRESHOLD_" in os.environ or "malloc.mmap_threshold" in tunables:

@@ -44,8 +44,9 @@ def python_material(
     target = getattr(module, law, None)
     if not callable(target):
         names = (name for name, value in vars(module).items() if _is_own(value, module))
-        expected = f"a class or function of {Path(path).name} that makes a material"
-        raise ParameterError(f"{KIND}.law", law, f"{expected}: {', '.join(names) or 'none'}")
+        file, known = Path(path).name, ", ".join(names) or "none"
+        expected = f"the name of a class or function of {file} that makes a material; {file} has {known}"
+        raise ParameterError(f"{KIND}.law", law, expected)
     try:
         inspect.signature(target).bind(**arguments)
     except TypeError as error:

@@ -240,7 +240,7 @@ class Output(Section):
         for key in ("probes", "lines", "integrals"):
             for i, name in enumerate(table.name for table in getattr(self, key)):
                 if name in names:
-                    expected = f"a name that no other of the tables has: both would write {name}.csv"
+                    expected = f"a name that no other table has, since both tables would write {name}.csv"
                     raise ParameterError(f"Output.{key}.{i}.name", name, expected)
                 names.add(name)
         return self

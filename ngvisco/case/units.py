@@ -83,7 +83,9 @@ def _require_small_powers(unit: str) -> None:
     powers = [match[1] or match[2] for match in _POWER.finditer(unit)]
     are_plain = len(powers) == len(re.findall(r"\*\*|\^", unit)) and not _CHAIN.search(unit)
     if not are_plain or math.prod(max(abs(float(power)), 1.0) for power in powers) > _LARGEST_POWER:
-        raise UnitError(f"{unit!r:.60} is no unit: its exponents are numbers such as 2, -1, 0.5 or (1/2)")
+        raise UnitError(
+            f"{unit!r:.60} is no unit: exponents have to be small numbers such as 2, -1, 0.5 or (1/2)"
+        )
 
 
 class Converter:

@@ -88,7 +88,7 @@ def parser() -> argparse.ArgumentParser:
     text = "go on from a directory's last checkpoint"
     resume = commands.add_parser("resume", help=text, description=_RESUME, parents=[settings, running])
     resume.add_argument("directory", metavar="DIR", help="run directory")
-    text = "end time in s, or with its unit, '140 kyr' (default: the case's)"
+    text = "end time in s, or with a unit, as in '140 kyr' (default: the case's)"
     resume.add_argument("--until", metavar="T", help=text)
 
     text = "run a case with some of its keys varied"

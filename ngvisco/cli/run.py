@@ -118,10 +118,10 @@ def _end_time(text: str) -> float:
     try:
         until = Converter(None).number(text, SI["time"])
     except UnitError as error:
-        expected = f"a time > 0 in s, or with its unit, '140 kyr' ({error})"
+        expected = f"a time > 0 in s, or with a unit, as in '140 kyr' ({error})"
         raise ParameterError("--until", text, expected) from None
     if not 0 < until < math.inf:
-        raise ParameterError("--until", text, "a finite time > 0, in s or with its unit, '140 kyr'")
+        raise ParameterError("--until", text, "a finite time > 0, in s or with a unit, as in '140 kyr'")
     return until
 
 

@@ -133,7 +133,7 @@ def _require_keys(names: list[str], case: Case, simulation: Simulation) -> None:
             if error.kind == PART:
                 keys = sorted(key_and_unit_of(part, case.sections)[0] for part in error.known)
                 hint = nearest(name, keys)
-                raise ParameterError("by", name, f"a number of {listed(keys)}", hint) from None
+                raise ParameterError("by", name, f"the key of a number in {listed(keys)}", hint) from None
             if given(case.sections, tuple(name.split("."))) is None:
                 raise
             instead = f"; in place of {error.name!r} the run has {listed(error.known)}" if error.known else ""

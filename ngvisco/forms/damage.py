@@ -180,7 +180,8 @@ class DamageGrowth:
             message = Words(
                 Mention("Damaged.length"),
                 f" = {length:g} m is below the size of the smallest cell, {size:.3g} m: a crack is then "
-                "one row of cells wide, and costs more than G_c; take cells of at most half the length",
+                "one row of cells wide, and takes more energy per area than G_c; take cells whose size is at "
+                "most half of the length",
             )
             ranks.warn(message, InputWarning, stacklevel=6)
 

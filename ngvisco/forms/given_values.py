@@ -116,7 +116,7 @@ def temperature_for(
     field, entropy = f"{owner}.temperature", entropy_in(material)
     if entropy is None or entropy.name in given:
         if temperature is not None:
-            beside = Words(None, " beside an entropy among the values")
+            beside = Words(None, ", since the given values contain the entropy")
             raise ParameterError(field, temperature, NO_TEMPERATURE if entropy is None else beside)
         return None
     if isinstance(material, Mixture):

@@ -44,10 +44,11 @@ class Tension:
         self.is_said = True
         place = self.sampler.largest_in_words(-p, {})
         weighs = any(load.is_weight for load in self.step.model.loads)
-        remedy = '; with [initial] equilibrium = "hydrostatic" the start bears the weight' if weighs else ""
+        balanced = '. With [initial] equilibrium = "hydrostatic" the initial pressure balances the weight'
+        remedy = balanced if weighs else ""
         message = (
             f"at t = {t:.4g} s {_subject(self.laws)} a negative pressure, "
-            f"{least:.4g} Pa {place}: the strength of matter in tension is its cohesion alone{remedy}"
+            f"{least:.4g} Pa {place}: in tension the strength of matter is its cohesion alone{remedy}"
         )
         ranks.warn(message, InputWarning, stacklevel=4)
 

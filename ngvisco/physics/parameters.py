@@ -208,7 +208,7 @@ class Parameter(Variable, ParameterExpression):
         if not (self.start is None or number is not None or _is_scalar_function(self.start)):
             raise ParameterError("Parameter.start", self.start, "a finite number or a real scalar function")
         if number is None and self.start is not None and reads_time(self.start):
-            expected = "a function of the initial place alone; the given one reads the time"
+            expected = "a function of the initial place alone; the given function reads the time"
             raise ParameterError("Parameter.start", self.start, expected)
         declared(Parameter)["mean"].taken("Parameter.mean", self.mean)
         positive = self.mean in ("geometric", "harmonic")
@@ -303,7 +303,8 @@ def _as_modulus(full: str, value: object, declaration: Declared) -> Modulus:
         raise ParameterError(full, value, expected)
     if reads_time(value):
         expected = (
-            "a function of the initial place alone; the given one reads the time, as only loads and walls may"
+            "a function of the initial place alone; the given function reads the time, which only loads and "
+            "walls may read"
         )
         raise ParameterError(full, value, expected)
     mean: Any = declaration.mean or ("geometric" if is_positive else "root")

@@ -294,7 +294,7 @@ class CellTerms(_Terms):
         self._begin(step, True)
 
     def part(self, cells: slice) -> CellTerms:
-        """The integrals over the range ``cells`` only, as loads; ``summed`` and ``rows`` need all cells."""
+        """The terms over the range ``cells`` only; ``summed`` and ``rows`` would need all cells."""
         operators, context = self.op.part(cells), self.context
         return CellTerms(self._step, operators, context.rates, self.place, context.sampled)
 

@@ -226,15 +226,15 @@ class Momentum:
         where = max(parts, key=lambda name: parts[name])
         return (
             f"at t = {row['time']:.4g} s the scheme itself has created {row[RELATIVE]:.1%} of the "
-            f"present momentum, in the last step most by {_CAUSES[where]}. The body moves by forces that "
-            "belong to no load, wall or stress, although the energy's ledger closes; take a finer mesh where "
-            "carried variables jump, and shorter steps"
+            f"present momentum; in the last step the largest part came from {_CAUSES[where]}. Forces that "
+            "belong to no load, wall or stress move the body, although the energy's ledger closes: take a "
+            "finer mesh where carried variables jump, and shorter steps"
         )
 
 
 _PARTS = [f"defect_{where}" for where in DEFECTS]
 _CAUSES = {
-    "facets": "the thrust of jumps between cells (defect_facets)",
+    "facets": "jumps of the state between cells (defect_facets)",
     "cells": "the quadrature in cells (defect_cells)",
     "inertia": "the skew form of inertia (defect_inertia)",
 }

@@ -186,9 +186,8 @@ def plot_fields(
     require_space(section, mesh.dim)
     named = dict(fields)
     if not 0 < len(named) == len(fields):
-        raise ParameterError(
-            "plot_fields.fields", [name for name, _ in fields], "one field or more, by titles"
-        )
+        expected = "at least one field, and a different title for each field"
+        raise ParameterError("plot_fields.fields", [name for name, _ in fields], expected)
     picture = _Picture(frame_of(mesh, named, outlines, subdivisions), list(named), section)
     for name, axis in zip(named, picture.axes, strict=True):
         axis.set_title(name)

@@ -199,7 +199,7 @@ def _read_checkpoint(path: Path, expected: dict[str, Any], step: int | None) -> 
             stored = file.attrs.get(name)
             if name != "ngvisco" and stored != value:
                 stored = stored.item() if isinstance(stored, np.generic) else stored
-                message = f"{name} of the checkpoint: {stored!r}, of this run: {value!r}"
+                message = f"the checkpoint has {name} = {stored!r}, but this run has {name} = {value!r}"
                 raise CheckpointError(f"{path}: {message}")
         names = sorted(file["checkpoints"])
         if not names:

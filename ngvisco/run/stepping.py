@@ -121,9 +121,7 @@ class TimeSteps:
             if not least <= self.dt <= most:
                 expected = f"a number from {least:g} to {most:g}, dt_min to dt_max"
                 raise ParameterError("TimeSteps.dt", self.dt, expected)
-            require_effect(
-                self, False, "beside adaptive steps, since these are halved down to dt_min", "halvings"
-            )
+            require_effect(self, False, "with adaptive steps, which are halved down to dt_min", "halvings")
         require_effect(self, self.made.A != ((1.0,),), "with backward Euler itself", "startup")
         scheme, tolerance = self.made, None if self.adaptive is None else self.adaptive.tolerance
         constant = abs(scheme.error_constant) * math.factorial(scheme.order + 1)
@@ -166,7 +164,9 @@ def time_steps(time: TimeSteps | None, keywords: Mapping[str, Any]) -> TimeSteps
         return TimeSteps(**{"dt": None, **keywords})
     require_type("Simulation.time", time, TimeSteps)
     if keywords:
-        raise ParameterError("Simulation.time", time, None, f" beside its parameters {', '.join(keywords)}")
+        raise ParameterError(
+            "Simulation.time", time, None, f", since its parameters {', '.join(keywords)} are given"
+        )
     return time
 
 

@@ -206,7 +206,7 @@ def _end(simulation: Simulation, data: Data, until: float | None) -> float:
         return max(float(steps) * dt, dt)
     end = as_number(until)
     if end is None or last > end * (1 + 1e-9):
-        raise DataError(f"data at {TIME} = {last:g} s, after the end of the run, {until} s")
+        raise DataError(f"the data go to {TIME} = {last:g} s, but the run ends at {until} s")
     return end
 
 

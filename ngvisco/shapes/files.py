@@ -288,7 +288,7 @@ class Image(Shape):
         try:
             image = importlib.import_module("matplotlib.image")
         except ImportError as error:
-            expected = 'matplotlib to read it: pip install "ngvisco[plots]"'
+            expected = 'an installed matplotlib, which reads images: pip install "ngvisco[plots]"'
             raise ParameterError("Image.path", self.path, expected) from error
         if Path(self.path).suffix.lower() != ".png":
             raise ParameterError("Image.path", self.path, "a PNG file, with a name that ends in .png")

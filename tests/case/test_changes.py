@@ -87,7 +87,7 @@ def test_a_change_that_was_interrupted_is_taken_up(run, monkeypatch):
         ("time.dt=-1", "time.dt .*-1.0: expected"),
         ("time.dt=0.03", "time.until: .*a multiple of dt"),
         ("material.Ge=1", "did you mean 'G_e'"),
-        ("rheology.hyperviscosity.mu=1e-3", "spaces of the checkpoint: "),
+        ("rheology.hyperviscosity.mu=1e-3", "the checkpoint has spaces = "),
         ("output.probes=[{name='a', point=[3, 3]}]", "output.probes.0.point"),
         ("time.until=0.02", "time.until .*expected a time after t = 0.04 s"),
     ],

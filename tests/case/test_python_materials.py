@@ -102,7 +102,11 @@ def test_a_run_directory_has_the_file_and_the_hash_its_content(place: Path) -> N
     ("key", "value", "said"),
     [
         ("path", '"sol.py"', r"material\.path.*a Python file, and sol\.py: No such file"),
-        ("law", '"Sol"', r"material\.law.*'Sol'.*a class or function of gel\.py that makes a material: Gel"),
+        (
+            "law",
+            '"Sol"',
+            r"material\.law.*'Sol'.*a class or function of gel\.py that makes a material; gel\.py has Gel",
+        ),
         ("law", '"number"', r"material\.law.*makes an ngvisco\.Material, not a float"),
         ("parameters", "{ G = 1 }", r"material\.parameters.*Gel\(.*K.*missing a required"),
         ("parameters", "{ K = -1 }", r"material\.parameters\.K.*-1.*a modulus > 0, Pa"),

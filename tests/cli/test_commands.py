@@ -270,7 +270,7 @@ def test_progress_bar_says_why_a_step_was_rejected_and_what_was_limited(capsys):
         ),
         (
             ("gradient", "CASE", "--by", "domain.maxh", "--of", "kinetic at 0"),
-            "--by = 'domain.maxh': expected a number of bodies, initial, loads",
+            "--by = 'domain.maxh': expected the key of a number in bodies, initial, loads",
         ),
         (("run", "CASE", "--from", "nowhere"), "ngvisco: --from = 'nowhere': nowhere: no such directory"),
         (("sweep", "CASE", "--vary", "time.dt=0.01,0.02", "-o", "RUN"), "this is a run directory"),

@@ -169,15 +169,15 @@ def test_a_damaged_or_foreign_checkpoint_is_refused_with_the_reason(damage, half
     elif damage == "version":
         with h5py.File(path, "a") as file:
             file.attrs["format"] = 1
-        reason = f"format of the checkpoint: 1, of this run: {FORMAT}"
+        reason = f"the checkpoint has format = 1, but this run has format = {FORMAT}"
     elif damage == "case":
         text = (half / "case.toml").read_text()
         (half / "case.toml").write_text(text.replace("G_v = 0.01", "G_v = 0.02"))
-        reason = "case of the checkpoint: "
+        reason = "the checkpoint has case = "
     else:
         with h5py.File(path, "a") as file:
             file.attrs["mesh"] = "another"
-        reason = "mesh of the checkpoint: 'another'"
+        reason = "the checkpoint has mesh = 'another'"
     before = path.read_bytes()
     code, _, err = command("resume", half, "--until", 0.08)
     assert code == BAD_FILE and reason in err

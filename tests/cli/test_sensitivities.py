@@ -168,8 +168,11 @@ def test_a_fit_prints_no_command_for_values_without_keys(case, tmp_path):
             ["--sigma", "stored=1"],
             "--sigma = 'stored=1': expected a standard deviation > 0 of the column kinetic",
         ),
-        (["--set", "time.until=0.04"], "after the end of the run"),
-        (["--by", "time.dt"], "--by = 'time.dt': expected a number of bodies, initial, loads, material"),
+        (["--set", "time.until=0.04"], "but the run ends at"),
+        (
+            ["--by", "time.dt"],
+            "--by = 'time.dt': expected the key of a number in bodies, initial, loads, material",
+        ),
     ],
 )
 def test_wrong_input_of_a_fit(case, tmp_path, words, said):

@@ -156,14 +156,18 @@ def test_the_datum_is_a_wall_a_point_or_the_top():
         ({"equilibrium": "isostatic"}, nv.ParameterError, "hydrostatic"),
         ({"datum": "roof"}, nv.UnknownNameError, "roof"),
         ({"datum": (0, 1)}, nv.ParameterError, "datum_point"),
-        ({"datum": "top", "datum_point": (0, 1)}, nv.ParameterError, "None beside a wall"),
+        (
+            {"datum": "top", "datum_point": (0, 1)},
+            nv.ParameterError,
+            "None, since Initial.datum names a wall",
+        ),
         ({"datum_point": (0.5, 2.0)}, nv.ParameterError, "datum"),
         ({"datum_pressure": np.nan}, nv.ParameterError, "finite number"),
         ({"datum": "top", "equilibrium": None}, nv.ParameterError, "no such value without equilibrium"),
         ({"F": np.eye(3)}, nv.ParameterError, "from which F follows"),
         ({"values": {"J": CF(1.0)}}, nv.ParameterError, "from which the strain follows"),
         ({"loads": ()}, nv.ParameterError, "a model with loads"),
-        ({"density": 100.0}, nv.InitialDataError, "pressures with a volume"),
+        ({"density": 100.0}, nv.InitialDataError, "pressures at which the bulk law"),
     ],
 )
 def test_what_is_no_equilibrium_is_refused(given, error, said):

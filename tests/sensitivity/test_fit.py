@@ -127,7 +127,7 @@ def test_tables_that_are_none_are_refused(tmp_path, text, said):
     ("options", "said"),
     [
         ({"tolerance": 0}, "a number > 0"),
-        ({"until": 0.5}, "after the end of the run"),
+        ({"until": 0.5}, "but the run ends at"),
         ({"sigma": -1.0}, "a standard deviation > 0"),
         ({"by": []}, "at least one parameter"),
         ({"bounds": {"creep.G_m": (1, 2)}}, "one of material.G_e"),

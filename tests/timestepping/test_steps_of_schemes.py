@@ -94,7 +94,7 @@ def test_a_checkpoint_of_another_scheme_is_refused(tmp_path):
     run = simulation(observers=[nv.Checkpoints(tmp_path / "run.h5")])
     run.run(0.02)
     with pytest.raises(
-        nv.CheckpointError, match=r"scheme of the checkpoint: 'midpoint.*of this run: 'sdirk2"
+        nv.CheckpointError, match=r"the checkpoint has scheme = 'midpoint.*this run has scheme = 'sdirk2"
     ):
         simulation(scheme="sdirk2").restore(tmp_path / "run.h5")
 

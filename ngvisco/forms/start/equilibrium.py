@@ -216,8 +216,11 @@ class Column:
                 return
         low, high = self.sampler.extrema(self.pressure)
         owner = f" of body {name!r}" if name else ""
-        expected = f"pressures with a volume{owner}; some pressures from {low:.4g} to {high:.4g} Pa have none"
-        raise InitialDataError("equilibrium", "no volume found", expected)
+        expected = (
+            f"pressures at which the bulk law{owner} has a J; some of the pressures, which are from "
+            f"{low:.4g} to {high:.4g} Pa, have none"
+        )
+        raise InitialDataError("equilibrium", "no J found", expected)
 
     def _at(self, datum: object) -> Callable[[CoefficientFunction], float]:
         """Return a function that evaluates coefficient functions at the datum."""
@@ -264,8 +267,8 @@ def require_open(step: Step, F: object, given: Mapping[str, object]) -> None:
     if not step.model.loads:
         raise ParameterError("Initial.equilibrium", "hydrostatic", "a model with loads, such as Gravity")
     if F is not None:
-        raise ParameterError("Initial.F", F, None, " beside an equilibrium, from which F follows")
+        raise ParameterError("Initial.F", F, None, ", since F follows from the equilibrium")
     for v in step.model.material.variables:
         if v.is_strain and v.name in given:
-            expected = "no value beside an equilibrium, from which the strain follows"
+            expected = "no value, since the strain follows from the equilibrium"
             raise ParameterError(f"Initial.values[{v.name!r}]", given[v.name], expected)

@@ -46,7 +46,10 @@ def starting_fractions(mesh: Mesh, bodies: Sequence[Body], order: int) -> StartV
         raise ParameterError("Model.bodies", names, expected)
     if filler is not None and of_rest <= _COVERED * total:
         body, _ = max(zip(placed, of_placed, strict=True), key=lambda pair: pair[1])
-        expected = f"a smaller place, since {filler.name!r}, the rest, would have nothing of the domain"
+        expected = (
+            f"a smaller place: this place leaves no part of the domain to {filler.name!r}, "
+            "the body without a place"
+        )
         raise ParameterError(f"bodies[{body.name!r}].where", body.where, expected)
     *fractions_of, of_none = fractions(mesh, list(shapes.values()), order)
     result: StartValues = dict(zip(shapes, fractions_of, strict=True))

@@ -108,7 +108,9 @@ class Initial:
             raise ParameterError("Initial.datum", self.datum, "the name of a wall; see datum_point")
         require_fields(self)
         if self.datum is not None and self.datum_point is not None:
-            raise ParameterError("Initial.datum_point", self.datum_point, None, " beside a wall as datum")
+            raise ParameterError(
+                "Initial.datum_point", self.datum_point, None, ", since Initial.datum names a wall"
+            )
         without = {"datum": None, "datum_point": None, "datum_pressure": 0.0}
         for name, value in without.items() if self.equilibrium is None else ():
             if getattr(self, name) != value:
@@ -264,7 +266,7 @@ def _at_rest(
     material = step.model.material
     require_open(step, initial.F, initial.values)
     if initial.density is not None and material.referential_density is not None:
-        expected = (None, " beside an equilibrium, from which the density rho_R/J follows")
+        expected = (None, ", since the density rho_R/J follows from the equilibrium")
         raise ParameterError("Initial.density", initial.density, *expected)
     density = None
     if initial.density is not None:
@@ -316,7 +318,7 @@ def _require_no_time(initial: Initial) -> None:
     given |= {f"values[{name!r}]": value for name, value in initial.values.items()}
     for name, value in given.items():
         if any(reads_time(part) for part in _functions_in(value)):
-            expected = "a function of the place alone; the given one reads the time"
+            expected = "a function of the place alone; the given function reads the time"
             raise ParameterError(f"Initial.{name}", value, expected)
 
 

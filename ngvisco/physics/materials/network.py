@@ -162,7 +162,10 @@ class Network(Material):
                 if v.creeps or isinstance(v, Parameter):
                     continue
                 if shared.setdefault(v.name, v) != v:
-                    expected = f"another name than {v.name!r}, or the same variable as in the branches before"
+                    expected = (
+                        f"a material whose variable {v.name!r} has another name, or is equal to the variable "
+                        f"{v.name!r} of the branches before"
+                    )
                     raise ParameterError(f"Network.branches[{name!r}].material", branch.material, expected)
         materials = (branch.material for branch in self.parts.values())
         parameters = distinct(v for m in materials for v in m.variables if isinstance(v, Parameter))

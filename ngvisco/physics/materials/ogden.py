@@ -146,8 +146,9 @@ class Ogden(Material):
             raise ParameterError("Ogden.mu", self.mu, f"{len(self.alpha)} moduli, one for each exponent")
         least = 2.0 if self.elastic_state == "B" else 1.0
         if not all(least <= abs(alpha) <= 12 for alpha in self.alpha):
-            form = ' by B; take elastic_state = "F"' if least == 2 else ""
-            raise ParameterError("Ogden.alpha", self.alpha, f"{least:g} <= |alpha| <= 12, to be convex{form}")
+            form = ' in B; with elastic_state = "F" 1 <= |alpha| suffices' if least == 2 else ""
+            expected = f"{least:g} <= |alpha| <= 12, so that the energy is convex{form}"
+            raise ParameterError("Ogden.alpha", self.alpha, expected)
         if not all(0 < mu * alpha < math.inf for mu, alpha in zip(self.mu, self.alpha, strict=True)):
             raise ParameterError("Ogden.mu", self.mu, "finite moduli, each with the sign of its exponent")
 

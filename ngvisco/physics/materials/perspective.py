@@ -90,8 +90,11 @@ class PerReferentialVolume(Material):
             )
         for v in self.material.variables:
             if v.is_strain and not isinstance(v, (Jacobian, DistortionTensor)):
-                admitted = "a material of J = det F and of F, Cof F, F F^T, Cof(F F^T) times powers of J"
-                raise ParameterError(field_name, self.material, f"{admitted}, not of {v.name!r}")
+                expected = (
+                    "a material whose variables are J = det F, or powers of J times F, Cof F, F F^T or "
+                    f"Cof(F F^T); {v.name!r} is none of these"
+                )
+                raise ParameterError(field_name, self.material, expected)
 
     def with_elastic_state(self, state: ElasticState) -> Self:
         return replace(self, material=self.material.with_elastic_state(state))

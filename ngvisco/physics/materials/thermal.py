@@ -139,7 +139,7 @@ class Thermal(Material):
             expected = " without a material, since the pressure of a gas is given by gruneisen > 0"
             raise ParameterError("Thermal.expansion", self.expansion, None, expected)
         if self.expansion is not None and self.gruneisen is not None:
-            raise ParameterError("Thermal.gruneisen", self.gruneisen, None, " beside an expansion")
+            raise ParameterError("Thermal.gruneisen", self.gruneisen, None, ", since expansion is given")
         if material is None and not self.gruneisen:
             expected = "a number > 0, which gives the pressure of a gas, or a material"
             raise ParameterError("Thermal.gruneisen", self.gruneisen, expected)
