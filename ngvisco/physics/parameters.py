@@ -302,10 +302,7 @@ def _as_modulus(full: str, value: object, declaration: Declared) -> Modulus:
         expected = f"{declaration.expected}, a function of the initial place, an expression of parameters"
         raise ParameterError(full, value, expected)
     if reads_time(value):
-        expected = (
-            "a function of the initial place alone; the given function reads the time, which only loads and "
-            "walls may read"
-        )
+        expected = "a function of the initial place, without the time, which only loads and walls may read"
         raise ParameterError(full, value, expected)
     mean: Any = declaration.mean or ("geometric" if is_positive else "root")
     parameter = Parameter(full.rpartition(".")[2], start=value, typical=1.0, mean=mean)

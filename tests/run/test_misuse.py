@@ -139,8 +139,8 @@ Model(material=NEO(), creep=Creep(G_m=1.0, law="conformation")) | a material wit
 Creep(G_m=1.0, nu=0.1, law="leonov") | Creep\.nu
 FENEP(K_e=1.0, G_e=1.0, b=3) | FENEP\.b = 3: expected a finite number > 3
 small_run(material=NEO(elastic_state="B"), values={"B": NOT_POSITIVE}) | projected B_11 B_22 - B_12\^2_0
-PerReferentialVolume(material=LINEAR) | not of 'E'
-PerReferentialVolume(material=BarotropicFluid(B=1.0, gamma=2, form="A")) | not of 'A'
+PerReferentialVolume(material=LINEAR) | 'E' is none of these
+PerReferentialVolume(material=BarotropicFluid(B=1.0, gamma=2, form="A")) | 'A' is none of these
 PerReferentialVolume(material=Yosida(material=NEO(), eps=1.0)) | around this material
 Parameter("theta", start=x * time) | Parameter.start = .*reads the time
 NEO(G_e=1 + time) | NeoHookean.G_e = .*reads the time
@@ -180,9 +180,9 @@ small_run(discretisation=Discretisation(m=0)) | Discretisation\.m = 0: expected 
 # steps
 Simulation(PLANE, MODEL) | TimeSteps\.dt = None
 Simulation(PLANE, MODEL, time=0.1) | Simulation\.time = 0\.1: expected a ngvisco.TimeSteps
-Simulation(PLANE, MODEL, time=STEPS, dt=0.1) | Simulation\.time = .*None beside
-Simulation(PLANE, MODEL, time=STEPS, scheme="midpoint") | Simulation\.time = .*None beside
-Simulation(PLANE, MODEL, time=STEPS, halvings=1) | Simulation\.time = .*None beside
+Simulation(PLANE, MODEL, time=STEPS, dt=0.1) | Simulation\.time = .*None, since its parameters
+Simulation(PLANE, MODEL, time=STEPS, scheme="midpoint") | Simulation\.time = .*None, since its parameters
+Simulation(PLANE, MODEL, time=STEPS, halvings=1) | Simulation\.time = .*None, since its parameters
 small_run(adaptive=AdaptiveSteps(dt_min=0.03, dt_max=0.1)) | TimeSteps\.dt = 0\.02
 small_run(scheme="sdirk2", relaxation=True, adaptive=ADAPTIVE) | scheme .midpoint.
 small_run(scheme="theta", theta=0.5001, adaptive=AdaptiveSteps(dt_min=1e-4, dt_max=0.02, tolerance=1e-3))

@@ -108,9 +108,7 @@ class Initial:
             raise ParameterError("Initial.datum", self.datum, "the name of a wall; see datum_point")
         require_fields(self)
         if self.datum is not None and self.datum_point is not None:
-            raise ParameterError(
-                "Initial.datum_point", self.datum_point, None, ", since Initial.datum names a wall"
-            )
+            raise ParameterError("Initial.datum_point", self.datum_point, None, ", since datum is given")
         without = {"datum": None, "datum_point": None, "datum_pressure": 0.0}
         for name, value in without.items() if self.equilibrium is None else ():
             if getattr(self, name) != value:
