@@ -346,8 +346,8 @@ def refused_by_name(term: object) -> Iterator[None]:
         yield
     except KeyError as error:
         name, missing = type(term).__name__, error.args[0] if error.args else ""
-        expected = f"another term, since this term reads {missing!r}, which the material does not carry"
+        expected = f"{name}: it reads {missing!r}, which the material does not carry"
         raise ParameterError("Simulation.terms", name, expected) from error
     except WithheldError as error:
         name = type(term).__name__
-        raise ParameterError("Simulation.terms", name, f"another term, since {error}") from error
+        raise ParameterError("Simulation.terms", name, f"{name}: {error}") from error

@@ -98,8 +98,7 @@ TWO | density = 2.0 -> density = 1e30 | bodies.1.density: 1e+30: expected at mos
 TWO | radius = 0.2 -> radius = 0.001
   | bodies.1.where: { kind = "Ball", centre = [0.6, 0.5], radius = 0.001 }: expected a place within the
   domain, no thinner than 1/4 of the cells there
-TWO | BALL -> "x > -1" | bodies.1.where: 'x > -1': expected a smaller place, since
-  'rest'
+TWO | BALL -> "x > -1" | bodies.1.where: 'x > -1': expected a smaller place
 TWO | name = "rest" -> name = "rest"; where = "x < 0.2"; order = 1
   | bodies: ['rest', 'disc']: expected one body without a place, for the rest
 TWO | LAW_OF_DISC -> kind = "NeoHookean", K_e = 10, G_e = 5, epsilon = 0.1

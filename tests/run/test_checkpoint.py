@@ -68,7 +68,7 @@ def test_a_checkpoint_of_something_else_is_refused_with_the_reason(tmp_path):
         ("material", simulation(material=stiffer)),
     ):
         before = other.rothe_step.state.vec.FV().NumPy().copy()
-        with pytest.raises(nv.CheckpointError, match=f"{reason} of the checkpoint: "):
+        with pytest.raises(nv.CheckpointError, match=f"the checkpoint has {reason} = "):
             other.restore(tmp_path / "run.h5")
         assert np.array_equal(before, other.rothe_step.state.vec.FV().NumPy())
 

@@ -143,8 +143,8 @@ PerReferentialVolume(material=LINEAR) | 'E' is none of these
 PerReferentialVolume(material=BarotropicFluid(B=1.0, gamma=2, form="A")) | 'A' is none of these
 PerReferentialVolume(material=Yosida(material=NEO(), eps=1.0)) | around this material
 Parameter("theta", start=x * time) | Parameter.start = .*reads the time
-NEO(G_e=1 + time) | NeoHookean.G_e = .*reads the time
-StokesViscosity(K_v=1.0, G_v=x + time) | StokesViscosity.G_v = .*reads the time
+NEO(G_e=1 + time) | NeoHookean.G_e = .*without the time
+StokesViscosity(K_v=1.0, G_v=x + time) | StokesViscosity.G_v = .*without the time
 2**THETA | exponent = .*expected a finite number
 WithQuadratic(material=VARIED, delta=1.0, only=("theta",)) | unknown material variable
 small_run(material=NEO(G_e=Parameter("stiff"))) | parameter stiff: no start value

@@ -98,9 +98,7 @@ def test_a_material_without_the_variable_is_refused_by_name():
     rubber = nv.NeoHookean(K_e=10, G_e=5, epsilon=0.1)
     with pytest.raises(ParameterError, match=r"Diffusion.variable = 'c'.*conserved scalar.*NeoHookean"):
         run_of(material=rubber)
-    with pytest.raises(
-        ParameterError, match=r"'Reader': .* this term reads 'c', which the material does not"
-    ):
+    with pytest.raises(ParameterError, match=r"Reader: it reads 'c', which the material does not carry"):
         nv.Simulation(box((1, 1), maxh=0.6), nv.Model(material=rubber), dt=0.1, terms=[Reader()])
 
 
