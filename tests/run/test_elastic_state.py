@@ -233,7 +233,7 @@ def test_a_run_ends_at_the_drift_that_is_given():
         0.8
     )
     strict = in_a_closed_box("F", speed=0.5, drift=0.01, halvings=0)
-    with pytest.raises(nv.StepError, match="more than 1% is refused"):
+    with pytest.raises(nv.StepError, match="More than 1% is refused"):
         strict.run(0.8)
     assert drift(strict) <= 0.01 and strict.t < 0.6
 
