@@ -309,7 +309,7 @@ def test_ogden_is_mooney_rivlin_where_its_exponents_are_two(rng):
     ("field", "said", "given"),
     [
         ("alpha", "1 <= |alpha| <= 12", {"mu": (1.0,), "alpha": (0.5,)}),
-        ("alpha", 'take elastic_state = "F"', {"mu": (1.0,), "alpha": (1.3,), "elastic_state": "B"}),
+        ("alpha", 'with elastic_state = "F"', {"mu": (1.0,), "alpha": (1.3,), "elastic_state": "B"}),
         ("alpha", "distinct exponents", {"mu": (1.0, 1.0), "alpha": (2.0, 2.0)}),
         ("mu", "at least one number", {"mu": (), "alpha": (2.0,)}),
         ("mu", "2 moduli", {"mu": (1.0, 1.0, 1.0), "alpha": (2.0, 4.0)}),
