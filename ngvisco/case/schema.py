@@ -124,7 +124,7 @@ class Time(TimeSteps):  # type: ignore[misc]
         longest = self.dt if self.adaptive is None else self.adaptive.dt_max
         if self.until / longest > _MAX_STEPS:
             least = self.until / _MAX_STEPS
-            steps = f"{self.until / longest:.0e} steps to the end at t = {self.until:g} s"
+            steps = f"{self.until / longest:.0e} steps to time.until = {self.until:g} s"
             name = "Time.dt" if self.adaptive is None else "Time.adaptive.dt_max"
             raise ParameterError(name, longest, f"at least {least:.2g}: the given length makes {steps}")
         number = round(self.until / self.dt)

@@ -33,6 +33,7 @@ MADE = {
 
 BY_ITS_OWN = {
     "Body.order": "run/test_bodies.py",
+    "Entry.difference_of": "forms/test_heat.py",
     "Body.parts": "run/test_parting.py",
     "Model.diffusion": "solver/test_diffusion.py",
     **dict.fromkeys(("Bodies.measures", "Contours.every", "Contours.bodies"), "run/test_outlines.py"),

@@ -270,6 +270,10 @@ def test_a_wall_of_a_huge_heat_transfer_coefficient_has_the_rounding_of_its_exch
     with warnings.catch_warnings():
         warnings.simplefilter("error", nv.ClosureWarning)
         run.run(200.0)
+    difference_of = {entry.name: entry.difference_of for entry in run.rothe_step.entries()}
+    assert {name for name, size in difference_of.items() if size is not None} >= {
+        f"power_heat_{name}" for name in walls
+    }
     power = run.ledger.column("power_heat_left")[-1]
     assert power == pytest.approx(50.0 * 1e4 * 0.01, rel=1e-2)  # W/m
 

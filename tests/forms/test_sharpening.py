@@ -405,7 +405,7 @@ def test_steps_that_carry_an_interface_too_far_are_named_once(dt, times):
     said = [str(w.message) for w in caught if "Discretisation.sharp" in str(w.message)]
     assert len(said) == times
     assert all(
-        "over 1 of a cell's height" in text and "time.dt (or dt_max) <= 0.079 s" in text for text in said
+        "over 1 of a cell's height" in text and "take dt or dt_max <= 0.079 s" in text for text in said
     )
 
 

@@ -183,14 +183,14 @@ def test_a_run_that_breaks_goes_on_from_its_checkpoint(tmp_path):
 @pytest.mark.parametrize(
     ("law", "match"),
     [
-        (damaged(area="reference"), r"bodies\['disc'\].material.area.*does not carry its distortion"),
+        (damaged(area="reference"), r"bodies\['disc'\].material.area.*does not carry the distortion"),
         (
             nv.Thermal(material=damaged(part="all"), c=1.0, theta_R=300.0),
             r"bodies\['disc'\].material.*Damaged",
         ),
         (
             damaged(material=nv.Network(branches={"a": nv.Branch(material=LAW.material)}), breaking=("a",)),
-            r"material.breaking.*all branches break together",
+            r"material.breaking.*all branches of a body break together",
         ),
     ],
 )

@@ -195,5 +195,5 @@ def test_energy_of_a_case_per_mass_and_per_referential_volume():
     assert [float(at(None, m.energy(z))) for m in scaled] == pytest.approx([found[0], 1000 * found[1]])
     with pytest.raises(nv.CaseError, match=r"material.rho_R.*for an energy per mass"):
         parse_case(CUSTOM.replace("rho_R = 2.0\n", ""), "case", Path("."))
-    with pytest.raises(nv.CaseError, match=r"material.variables.*not of 'E'"):
+    with pytest.raises(nv.CaseError, match=r"material.variables.*'E' is none of these"):
         material('material.variables=["E"]', 'material.energy="norm2(E)"')

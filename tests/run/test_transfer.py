@@ -120,9 +120,11 @@ def test_a_change_keeps_the_bodies_densities(tmp_path):
     """The amounts in the state are volumes, which with another density would not add up to rho."""
     path = tmp_path / "run.h5"
     with_bodies(observers=[nv.Checkpoints(path)]).run(0.02)
-    with pytest.raises(nv.CheckpointError, match=r"bodies are 'disc of 2.0 kg.* run's are 'disc of 3.0"):
+    with pytest.raises(
+        nv.CheckpointError, match=r"bodies = 'disc of 2.0 kg.* this run has bodies = 'disc of 3.0"
+    ):
         nv.resume_changed(with_bodies(density=3.0), path)
-    with pytest.raises(nv.CheckpointError, match=r"run's are 'rest of 1.0 kg.*, disc of 2.0"):
+    with pytest.raises(nv.CheckpointError, match=r"this run has bodies = 'rest of 1.0 kg.*, disc of 2.0"):
         nv.resume_changed(with_bodies(reverse=True), path)
 
 
