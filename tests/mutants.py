@@ -605,7 +605,7 @@ MUTANTS = [
             "film that shears faster than the body in its cell",
             "(0.5 / value_at(law.G_v, z))",
             "(0.0 / value_at(law.G_v, z))",
-            SHARP + "test_a_film_is_as_thick_as_it_is",
+            SHARP + "test_a_film_bears_the_traction_of_its_thickness",
         ),
     ),
     *_of(

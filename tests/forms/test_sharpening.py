@@ -532,7 +532,7 @@ def pulled_by_a_film(solver, rows=4, face=0.375):
 
 
 @pytest.mark.parametrize("solver", ["split", "coupled"])
-def test_a_film_is_as_thick_as_it_is(solver, monkeypatch):
+def test_a_film_bears_the_traction_of_its_thickness(solver, monkeypatch):
     """The layer ends at its face, and is not sheared with the film of its cell: the traction is right within
     4 %. A layer that ends where its fraction is 1/5 and that is sheared with the film bears 10 % too much."""
     share, ledger = pulled_by_a_film(solver)

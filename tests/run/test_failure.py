@@ -100,7 +100,7 @@ def test_a_strip_with_heat_and_hardly_any_inertia_relaxes():
 
 def test_rounding_of_large_entropies_is_named_with_its_remedies():
     """A large heat capacity leaves more rounding; with the reference at the start's temperature none."""
-    with pytest.raises(nv.StepError, match="shorter steps have more of it") as caught:
+    with pytest.raises(nv.StepError, match="shorter steps have a larger rounding error") as caught:
         relaxing(1e7).run(0.1)
     text = str(caught.value.report)
     assert "solver.tolerance" in text and "thermal.theta_R near the temperature at the start" in text

@@ -39,7 +39,7 @@ class Films(FlowRule):
     """Pairs of a fluid's name and its viscosity, with G_v > 0."""
     fractions: Fractions
     stiffness: float = 0.0
-    """Half of the body's stress per creep strain at rest, Pa."""
+    """Half of the body's stress per creep strain at rest, Pa, at typical values of its parameters."""
 
     reads = frozenset({INTERFACE})
     degree = 1.0
