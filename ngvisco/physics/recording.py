@@ -5,6 +5,9 @@ repeats these operations without the function's own code, which takes longer tha
 are small.  Operations on constants alone are not noted, since their results are stored; equal operations are
 noted once, and operations that no result needs are left out.  The results are the same to the bit.
 
+Arrays that the function does not get as arguments are constants of its program, except those that it reads by
+``datum``: a program reads these again after each ``begin``, and repeats the operations on them alone once.
+
 What a function does must not depend on values: a decision by a value, and code other than NumPy's, raises
 TypeError.  Such code has to be ``called``, if it is a function of arrays that leaves its
 arguments as they are.
@@ -13,9 +16,10 @@ arguments as they are.
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
+from contextvars import ContextVar
 from functools import lru_cache, partial
-from typing import Any, Self
+from typing import Any, Self, TypeAlias
 
 import numpy as np
 
@@ -34,15 +38,50 @@ def called(function: Callable[..., Any], *arguments: Any) -> Any:
     return function(*arguments)
 
 
+def datum(read: Callable[[], np.ndarray], *key: Hashable) -> Any:
+    """The array that ``read`` returns; a program that is being recorded reads it again after each ``begin``.
+
+    Equal keys belong to the same array.
+    """
+    program = _RECORDING.get()
+    return read() if program is None else program.datum(read, key)
+
+
+Operation: TypeAlias = tuple[Callable[..., Any], tuple[int, ...], int]
+"""An operation, the places of its arguments, and the place of its result."""
+
+
+class Operations:
+    """Operations in their order, and the values that each of them reads last."""
+
+    def __init__(self, steps: list[Operation], kept: set[int]) -> None:
+        """Results are freed after their last use, unless they are ``kept``."""
+        made, freed = {place for *_, place in steps} - kept, list[list[int]]()
+        for _, places, place in reversed(steps):
+            last = made.intersection((*places, place))
+            made -= last
+            freed.append(sorted(last))
+        self._steps = list(zip(steps, freed[::-1], strict=True))
+
+    def __call__(self, values: list[Any]) -> None:
+        """Carry out the operations on the values at their places."""
+        for (function, places, place), freed in self._steps:
+            values[place] = function(*[values[i] for i in places])
+            for i in freed:
+                values[i] = None
+
+
 class Program:
     """The operations that a function of named arrays performs.  ``of`` makes a program."""
 
     def __init__(self) -> None:
         self._values: list[Any] = []
-        self._steps: list[tuple[Callable[..., Any], tuple[int, ...], int]] = []
+        self._steps: list[Operation] = []
         self._known: dict[Any, Recorded] = {}
+        self._data: dict[Any, tuple[int, Callable[[], np.ndarray]]] = {}
         self._places = self._results = dict[Any, int]()
-        self._freed, self._left = list[list[int]](), list[int]()
+        self._left = list[int]()
+        self._has_begun = True
 
     @classmethod
     def of(cls, function: Callable[[dict[Any, Any]], Arrays], arguments: Arrays) -> tuple[Self, Arrays]:
@@ -52,7 +91,11 @@ class Program:
         """
         program = cls()
         program._places = {name: program._put(value) for name, value in arguments.items()}
-        found = function({name: Recorded(program, place) for name, place in program._places.items()})
+        token = _RECORDING.set(program)
+        try:
+            found = function({name: Recorded(program, place) for name, place in program._places.items()})
+        finally:
+            _RECORDING.reset(token)
         results = {
             name: value.place if isinstance(value, Recorded) else program._put(value)
             for name, value in found.items()
@@ -82,39 +125,63 @@ class Program:
             self._steps.append((function, places, self._known[key].place))
         return self._known[key]
 
+    def datum(self, read: Callable[[], np.ndarray], key: Hashable) -> Recorded:
+        """See the function of this name."""
+        if key not in self._data:
+            self._data[key] = self._put(read()), read
+        return Recorded(self, self._data[key][0])
+
+    def begin(self) -> None:
+        """Say that data may have changed: the next call reads them."""
+        self._has_begun = False
+
     def _finish(self) -> None:
-        """Leave out the steps that no result needs, and find the values that each step reads last."""
-        needed, steps = set(self._results.values()), []
+        """Leave out the steps that no result needs, and divide the others into those on data alone and those
+        that depend on arguments."""
+        results = set(self._results.values())
+        needed, steps = set(results), list[Operation]()
         for step in reversed(self._steps):
             if step[2] in needed:
                 needed.update(step[1])
                 steps.append(step)
+        steps.reverse()
         self._places = {name: place for name, place in self._places.items() if place in needed}
-        made = {place for *_, place in self._steps}.union(self._places.values())
-        kept, seen, freed = set(self._results.values()), set[int](), []
-        for _, places, place in steps:  # in backward order
-            last = made.intersection((*places, place)) - seen - kept
-            seen |= last
-            freed.append(sorted(last))
-        self._steps, self._freed, self._known = steps[::-1], freed[::-1], {}
-        self._left = sorted(made.intersection(self._places.values()).union(made & kept))
+        self._data = {key: datum for key, datum in self._data.items() if datum[0] in needed}
+        of_arguments, of_data = set(self._places.values()), {place for place, _ in self._data.values()}
+        for _, places, place in steps:
+            if of_arguments.intersection(places):
+                of_arguments.add(place)
+            elif of_data.intersection(places):
+                of_data.add(place)
+        later = [step for step in steps if step[2] in of_arguments]
+        seen = results.union(*(places for _, places, _ in later))
+        self._at_begin = Operations([step for step in steps if step[2] in of_data], seen)
+        self._at_call = Operations(later, results)
+        self._steps, self._known = [], {}
+        self._left = sorted((of_arguments & results).union(self._places.values()))
         for place in range(len(self._values)):
-            if place in made or place not in needed:
+            if place in of_arguments or place not in needed or (place in of_data and place not in seen):
                 self._values[place] = None
 
     def __call__(self, arguments: Arrays) -> Arrays:
         """Results for other arguments of the same shapes."""
         values = self._values
+        if not self._has_begun:
+            for place, read in self._data.values():
+                values[place] = read()
+            self._at_begin(values)
+            self._has_begun = True
         for name, place in self._places.items():
             values[place] = arguments[name]
-        for (function, places, place), freed in zip(self._steps, self._freed, strict=True):
-            values[place] = function(*[values[i] for i in places])
-            for i in freed:
-                values[i] = None
+        self._at_call(values)
         results = {name: values[place] for name, place in self._results.items()}
         for place in self._left:
             values[place] = None
         return results
+
+
+_RECORDING: ContextVar[Program | None] = ContextVar("_RECORDING", default=None)
+"""The program that is being recorded."""
 
 
 def _key(argument: Any) -> Any:

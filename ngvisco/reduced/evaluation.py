@@ -9,6 +9,7 @@ imaginary part of a row is the row's derivative along the imaginary part of the 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any, Literal, TypeAlias, cast
 from weakref import WeakKeyDictionary
 
@@ -20,7 +21,7 @@ from ngvisco.forms.rates import TabulatedRates
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import PointRule, PointTerm
 from ngvisco.physics.arrays import Array, ConstantInCells, Linear, factors_of_tests
-from ngvisco.physics.recording import called
+from ngvisco.physics.recording import called, datum
 from ngvisco.reduced.operators import Operators, PointOperators, SideOperators
 from ngvisco.reduced.point_fields import CELLS, FACETS, Lazy, derivative_of, incremented, lazy_fields
 from ngvisco.reduced.unknowns import derived_in_cells, in_cells
@@ -104,11 +105,17 @@ class Sampled:
                 _put(function, self._now[how](value))
 
     @property
-    def momentum_old(self) -> np.ndarray | None:
-        """m_old, (dim, points), kg/(m^2 s); None if this rule is not the forms' rule."""
-        momentum, dim = self._step.momentum_old, self._step.mesh.dim
-        is_known = self._points.count * dim == momentum.space.ndof
-        return self._points.read(momentum, dim) if is_known else None
+    def knows_momentum(self) -> bool:
+        """Whether this rule is the forms' rule, at whose points m_old is known."""
+        return self._points.count * self._step.mesh.dim == self._step.momentum_old.space.ndof
+
+    def momentum_old(self) -> np.ndarray:
+        """m_old, (dim, points), kg/(m^2 s)."""
+        return self._points.read(self._step.momentum_old, self._step.mesh.dim)
+
+    def of_old(self, name: str) -> np.ndarray:
+        """Coefficients of an unknown of the old state, see ``Coefficients``."""
+        return self.old[name]
 
     def values(self, how: str, value: CoefficientFunction) -> np.ndarray:
         """Values of a function at the points, (components, points).
@@ -157,24 +164,31 @@ class CellContext(_PointContext):
     @property
     def old(self) -> Fields:
         """The old state."""
-        old = self.sampled.old
+        sampled = self.sampled
+        old = {name: datum(partial(sampled.of_old, name), sampled, name) for name in sampled.old}
         return _fields(self._op, old, (old, old), "of the old state", self)
 
     @property
     def momentum_old(self) -> Array:
         """m_old, kg/(m^2 s)."""
-        if (momentum := self.sampled.momentum_old) is not None:
+        sampled = self.sampled
+        if sampled.knows_momentum:
+            momentum = datum(sampled.momentum_old, sampled, "momentum")
             return self._here(momentum, [len(momentum)])
         old = self.old  # a coarser rule is used for tangents only
         return old.rho * old.v
 
     def average(self, value: CoefficientFunction) -> Array:
         """The mean over the step of a scalar, a vector or a matrix, see ``Context.average``."""
-        return self._here(self.sampled.values("average", value), value.dims)
+        return self._sampled("average", value)
 
     def given(self, value: CoefficientFunction) -> Array:
         """The value at the end of the step, see ``Context.given``."""
-        return self._here(self.sampled.values("given", value), value.dims)
+        return self._sampled("given", value)
+
+    def _sampled(self, how: str, value: CoefficientFunction) -> Array:
+        values = datum(partial(self.sampled.values, how, value), self.sampled, how, value)
+        return self._here(values, value.dims)
 
 
 def _put(function: GridFunction, value: CoefficientFunction) -> None:
@@ -204,11 +218,15 @@ class SideContext(_PointContext):
 
     def given(self, value: CoefficientFunction) -> Array:
         """The value of a scalar, a vector or a matrix at the end of the step, see ``Context.given``."""
+        return self._here(datum(partial(self._sample, value), id(self.samples), value), value.dims)
+
+    def _sample(self, value: CoefficientFunction) -> np.ndarray:
+        """Values of a function at the points of all sides, (components, points)."""
         with ALONE:
             if value not in self.samples:
                 entries = [value[index] for index in np.ndindex(*value.dims)] if value.dims else [value]
                 self.samples[value] = np.stack([self._op.points.sample(entry) for entry in entries])
-        return self._here(self.samples[value], value.dims)
+        return self.samples[value]
 
     @property
     def curvature(self) -> float:

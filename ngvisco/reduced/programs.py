@@ -1,7 +1,9 @@
-"""Programs of the terms' integrals over the cells, recorded at the first iterate of a step.
+"""Programs of the terms' integrals over the cells, recorded once and repeated in later iterates and steps.
 
-Fields are functions of the unknowns' coefficients.  Between the iterates of a step only these change: data
-of the step are constants of a program.
+Fields are functions of the unknowns' coefficients.  Between the iterates of a step only these change.  The
+data of a step, which the contexts of ``evaluation`` provide, change from step to step (``datum``).  All other
+data of a term stay constant through a run (``ngvisco.forms.term``).  The first results of a second step are
+compared with the function's own: a function whose program has other bits is recorded in each step.
 """
 
 from __future__ import annotations
@@ -17,29 +19,55 @@ class Programs:
     """Programs by the names of their functions; a function that cannot be recorded is evaluated each time."""
 
     def __init__(self) -> None:
-        self._programs: dict[Hashable, Program] | None = None
+        self._programs: dict[Hashable, Program] = {}
         self._others: set[Hashable] = set()
         """Names of functions that cannot be recorded."""
+        self.varying: set[Hashable] = set()
+        """Names of functions that are recorded in each step."""
+        self._compared: set[Hashable] = set()
+        """Names of functions of whose programs one had the bits of the function in a second step."""
+        self._numbers: tuple[float, ...] = ()
+        self._runs, self._begun = False, set[Hashable]()
+        """Whether programs evaluate functions now; and names of the programs of earlier steps."""
 
-    def start(self, records: bool) -> None:
-        """Forget all programs, whose data may have changed; record new ones if ``records``."""
-        self._programs = {} if records else None
+    def start(self, runs: bool, *numbers: float) -> None:
+        """Begin a step.  If it ``runs``, programs evaluate the functions until the next call.
+
+        A program serves steps of equal ``numbers``, which it does not read as data.
+        """
+        self._runs = runs
+        if not runs:
+            return
+        old = list(self._programs) if numbers != self._numbers else self.varying
+        for name in old:
+            self._programs.pop(name, None)
+        self._numbers = numbers
+        for program in self._programs.values():
+            program.begin()
+        self._begun = set(self._programs)
 
     @property
     def names(self) -> list[Hashable]:
-        """Names of the functions that have programs."""
-        return sorted(self._programs or {}, key=str)
+        """Names of the functions that programs evaluate."""
+        return sorted(self._programs, key=str) if self._runs else []
 
     def __call__(self, name: Hashable, function: Callable[[Arrays], Arrays], c: Arrays) -> Arrays:
         """``function(c)`` for coefficients ``c``."""
-        programs = self._programs
-        if programs is None or name in self._others or any(map(np.iscomplexobj, c.values())):
+        if not self._runs or name in self._others or any(map(np.iscomplexobj, c.values())):
             return function(c)
-        if name in programs:
-            return programs[name](c)
+        if name in self._programs:
+            found = self._programs[name](c)
+            if name not in self._begun or name in self._compared:
+                return found
+            expected = function(c)
+            if all(np.array_equal(found[key], value, equal_nan=True) for key, value in expected.items()):
+                self._compared.add(name)
+                return found
+            self.varying.add(name)
         try:
-            programs[name], results = Program.of(function, c)
+            self._programs[name], results = Program.of(function, c)
         except Exception:  # whatever a function of arrays does with arrays of another class
             self._others.add(name)
             return function(c)
+        self._begun.discard(name)
         return results

@@ -223,7 +223,9 @@ class ReducedResidual:
         With ``records`` the caller says that all data stay as they are until the next call: programs then
         evaluate the terms (``Programs``)."""
         count = self.op.points.count
-        self.programs.start(records and self.slope.is_local and len(self.parts) == 1 and count <= RECORDED)
+        runs = records and self.slope.is_local and len(self.parts) == 1 and count <= RECORDED
+        context = self.step.context
+        self.programs.start(runs, context.tau.Get(), context.curvature.Get())
         self.cell_terms.context.sampled.start()
         self.carried_terms.context.sampled.start()
         if self.collocated_terms is not None:

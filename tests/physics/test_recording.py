@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ngvisco.physics.recording import Program, called
+from ngvisco.physics.recording import Program, called, datum
 
 
 def arrays(seed):
@@ -63,6 +63,32 @@ def test_equal_and_useless_operations_are_left_out():
     calls.clear()
     program(arrays(1))
     assert len(calls) == 1
+
+
+def test_data_are_read_again_after_each_begin_and_not_before():
+    data, squares = {"x": np.arange(5.0)}, []
+
+    def squared(x):
+        squares.append(x)
+        return x**2
+
+    def function(c):
+        x = datum(lambda: data["x"], "x")
+        return {"sum": c["a"] + called(squared, datum(lambda: 0 * x, "x")), "data": x + 1, "both": c["b"] * x}
+
+    program, _ = Program.of(function, arrays(0))
+    for steps, value in enumerate((np.arange(5.0), np.full(5, 7.0), np.linspace(0, 1, 5))):
+        data["x"] = value
+        if steps:
+            program.begin()
+        for seed in (1, 2):
+            found, given = program(arrays(seed)), arrays(seed)
+            assert np.array_equal(found["sum"], given["a"] + value**2)
+            assert np.array_equal(found["data"], value + 1)
+            assert np.array_equal(found["both"], given["b"] * value)
+        assert len(squares) == steps + 1
+    data["x"] = np.zeros(5)
+    assert np.array_equal(program(arrays(1))["data"], np.linspace(0, 1, 5) + 1)
 
 
 @pytest.mark.parametrize(

@@ -40,8 +40,19 @@ def assert_programs_repeat_it(split, x, other):
     assert all(
         np.array_equal(found.coefficients[name], values) for name, values in expected.coefficients.items()
     )
+    # another step from other data, with the same programs
+    state_old = split.step.state_old.vec.FV().NumPy()
+    kept = state_old.copy()
+    state_old *= 1.01
     residual.start()
     assert not residual.programs.names
+    expected = residual(other)
+    residual.start(records=True)
+    for _ in range(2):
+        assert np.array_equal(residual(other).residual, expected.residual)
+    assert not residual.programs.varying
+    state_old[:] = kept
+    residual.start()
 
 
 def assert_is_the_derivative(run, bound=1e-8):

@@ -1,0 +1,50 @@
+"""Programs serve several steps if their functions read what changes as data."""
+
+import numpy as np
+
+from ngvisco.physics.recording import datum
+from ngvisco.reduced.programs import Programs
+
+C = {"a": np.arange(4.0)}
+
+
+class Function:
+    """A function that reads a number either as a datum or behind the program's back."""
+
+    def __init__(self, is_datum):
+        self.is_datum, self.number, self.calls = is_datum, np.ones(1), 0
+
+    def __call__(self, c):
+        self.calls += 1
+        number = datum(lambda: self.number, "number") if self.is_datum else self.number
+        return {"product": c["a"] * number}
+
+
+def run_steps(function, taus):
+    """Evaluate five iterates in each step, and return the number of calls of the function in each step."""
+    programs, calls = Programs(), []
+    for step, tau in enumerate(taus):
+        function.calls, function.number = 0, np.array([step + 2.0])
+        programs.start(True, tau)
+        for _ in range(5):
+            found = programs("product", function, C)
+            assert np.array_equal(found["product"], C["a"] * function.number)
+        calls.append(function.calls)
+    return calls, programs
+
+
+def test_a_program_serves_later_steps_after_one_comparison():
+    calls, programs = run_steps(Function(True), [0.1] * 4)
+    assert calls == [1, 1, 0, 0]
+    assert not programs.varying
+    assert programs.names == ["product"]
+
+
+def test_a_function_that_changes_unseen_is_recorded_in_each_step():
+    calls, programs = run_steps(Function(False), [0.1] * 4)
+    assert calls == [1, 2, 1, 1]
+    assert programs.varying == {"product"}
+
+
+def test_steps_of_another_length_have_their_own_program():
+    assert run_steps(Function(True), [0.1, 0.1, 0.2, 0.2, 0.2])[0] == [1, 1, 1, 0, 0]
