@@ -7,7 +7,7 @@ from itertools import combinations
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_args
 
 import numpy as np
-from ngsolve import CF, H1, L2, CoefficientFunction, Grad, GridFunction, Periodic, x, y, z
+from ngsolve import CF, H1, L2, CoefficientFunction, Grad, GridFunction, Periodic
 
 from ngvisco.errors import NgviscoWarning, ParameterError, Quantity, require_some_names
 from ngvisco.parallel.communicator import Communicator
@@ -46,9 +46,9 @@ class Tractions:
     at the vertices, the force is -int sigma grad chi = int chi div sigma: walls have no part in it.
     """
 
-    def __init__(self, simulation: Simulation, names: Sequence[str]) -> None:
-        step, fields = simulation.rothe_step, simulation.fields
-        self._step, self._dim = step, step.mesh.dim
+    def __init__(self, simulation: Simulation, fractions: FractionSamples) -> None:
+        step, fields, names = simulation.rothe_step, simulation.fields, fractions.names
+        self._step, self._dim, self._positions = step, step.mesh.dim, fractions.positions
         space = H1(step.mesh, order=1)
         space = Periodic(space) if step.walls.periodic else space
         self.chi = {name: GridFunction(space) for name in names}
@@ -68,7 +68,8 @@ class Tractions:
         self._theta = {name: fields[f"{name}_fraction"] for name in names}
         shares = (share for name in names for share in self.shares(name, fields).values())
         self._stresses = CF((*self._theta.values(), *shares)).Compile()
-        parts = (part for chi in self.chi.values() for part in self.densities(fields, Grad(chi)).values())
+        chis = self.chi.items()
+        parts = (part for name, chi in chis for part in self.densities(name, fields, Grad(chi)).values())
         self._forces = CF(tuple(parts)).Compile()
 
     @staticmethod
@@ -83,11 +84,11 @@ class Tractions:
         return {column: theta * stress[i, j] for column, (i, j) in self.of_stress.items()}
 
     def densities(
-        self, fields: Mapping[str, CoefficientFunction], slope: CoefficientFunction
+        self, name: str, fields: Mapping[str, CoefficientFunction], slope: CoefficientFunction
     ) -> dict[str, CoefficientFunction]:
-        """Densities of force and torque about the origin, by the names of their columns, for a slope grad
-        chi."""
-        place, stress, dim = (x, y, z), self._stress(fields), self._dim
+        """Densities of force on a body and of torque about the origin, by the names of their columns, for a
+        slope grad chi."""
+        place, stress, dim = self._positions[name], self._stress(fields), self._dim
         f = [-sum((stress[i, j] * slope[j] for j in range(dim)), CF(0.0)) for i in range(dim)]
         axes = [(0, 1)] if dim == 2 else [(1, 2), (2, 0), (0, 1)]
         torques = [place[i] * f[j] - place[j] * f[i] for i, j in axes]
@@ -160,8 +161,9 @@ class Bodies(Series):
     | ``traction`` | ``NAME_force_x``, ..., force of the other bodies by that stress, N, and its torque |
     |  | about the centroid, ``NAME_torque``, in 3D ``NAME_torque_x``, ..., N m |
 
-    Outlines, ellipses and gaps are those of bodies across periodic boundaries.  The centroid of a body that
-    crosses such a boundary is the mean place of its parts in the domain, and the torque is about this place.
+    Centroids, outlines, ellipses and gaps are those of whole bodies across periodic boundaries.  A centroid
+    is within the domain.  Along a period in which a body meets its own image, the centroid is that of the
+    body's part in the domain.  An extent is that of the parts in the domain.
     A ``SmearedWarning`` is issued, once, for a body with a place whose interface is more than three cells
     wide, and in two dimensions a ``SelfContactWarning`` if parts of its outline face each other within
     1.5 cells; in three dimensions it is not issued.  A run's HDF5 file (``Checkpoints``) holds the columns
@@ -193,6 +195,7 @@ class Bodies(Series):
 
     def prepare(self, simulation: Simulation) -> list[str]:
         step, material, dim = simulation.rothe_step, simulation.model.material, simulation.mesh.dim
+        self._step = step
         bodies = require_bodies("Bodies", material)
         needs = [name for name in self.measures if name in _PLANE]
         if dim != 2 and needs:
@@ -210,7 +213,8 @@ class Bodies(Series):
         self.names = names = [body.name for body in bodies]
         self._placed = [body.name for body in bodies if body.where is not None]
         self.fractions = FractionSamples(simulation, names)
-        self.tractions = Tractions(simulation, names) if {"stress", "traction"} & {*self.measures} else None
+        has_stress = bool({"stress", "traction"} & {*self.measures})
+        self.tractions = Tractions(simulation, self.fractions) if has_stress else None
         for measure in self.measures:
             units |= self._units_of(measure)
         self._units = {f"{name}_{quantity}": unit for name in names for quantity, unit in units.items()}
@@ -219,7 +223,7 @@ class Bodies(Series):
                 raise ParameterError("Bodies.measures", "gap", "at least two bodies with a place (where)")
             self.pairs = {f"gap_{one}_{other}": (one, other) for one, other in combinations(self._placed, 2)}
             self._units |= dict.fromkeys(self.pairs, "m")
-        parts = (part for name in names for part in densities(step, name, step.now).values())
+        parts = (part for name in names for part in self.densities(name, step.now).values())
         self._integrand = CF(tuple(parts))
         theta = material.fractions.at(step.now.z_tensors)  # type: ignore[attr-defined]
         self._theta = CF(tuple(theta[name] for name in names))
@@ -238,6 +242,10 @@ class Bodies(Series):
             "outline": {"perimeter": "m", "inside": "m^2"},
             "turning": {"turning": "rad/s"},
         }.get(measure, {})
+
+    def densities(self, name: str, u: Fields) -> dict[str, CoefficientFunction]:
+        """Densities of the integrals of a body at ``u``, by the names of columns."""
+        return densities(self._step, name, u, self.fractions.positions[name])
 
     def unit(self, column: str) -> str:
         """SI unit of a column (per metre of thickness in plane strain)."""
@@ -259,6 +267,7 @@ class Bodies(Series):
     def _sample(self, simulation: Simulation) -> Any:
         dim = simulation.mesh.dim
         simulation.rothe_step.local_unknowns.update_stored()
+        self.fractions.read()
         totals = np.asarray(simulation.rothe_step.quadrature.integrate_cells(self._integrand), dtype=float)
         values = totals.reshape(self._theta.dim, -1)
         values[:, 2 : 2 + dim] /= np.where(values[:, 1:2] > 0, values[:, 1:2], np.nan)
@@ -268,13 +277,12 @@ class Bodies(Series):
         extents = np.where(there, ends, -np.inf).max(axis=1, initial=-np.inf)
         extents = simulation.ranks.largest(extents) * np.tile([-1, 1], dim)
         extents[np.isinf(extents)] = np.nan
-        self.fractions.read()
         smeared = np.array([[self.fractions.smeared(name)] for name in self.names])
         self._look(simulation, smeared[:, 0])
+        centres = values[:, 2 : 2 + dim].copy()
+        values[:, 2 : 2 + dim] = self.fractions.folded(centres)
         blocks = [values, extents, smeared]
-        blocks += [
-            self._measured(measure, values[:, 2 : 2 + dim]) for measure in self.measures if measure != "gap"
-        ]
+        blocks += [self._measured(measure, centres) for measure in self.measures if measure != "gap"]
         row = np.hstack(blocks).ravel()
         if "gap" in self.measures:
             outlines = {name: self.fractions.cut(name).ends for name in self._placed}
@@ -336,18 +344,20 @@ def require_bodies(owner: str, material: Any) -> tuple[Any, ...]:
     return material.bodies
 
 
-def densities(step: Step, name: str, u: Fields) -> dict[str, CoefficientFunction]:
+def densities(
+    step: Step, name: str, u: Fields, position: CoefficientFunction
+) -> dict[str, CoefficientFunction]:
     """Densities of a body's mass, volume, first moments, momentum, energies and dissipation at ``u``.
 
-    The keys are the names of columns.  The first moments, ``x``, ``y``, ``z``, are integrals of place over
-    the volume.
+    The keys are the names of columns.  The first moments, ``x``, ``y``, ``z``, are integrals of ``position``
+    over the volume.
     """
     material, rates = step.model.material, u.context.rates
     assert isinstance(material, Mixture)
     body = next(body for body in material.bodies if body.name == name)
     values, theta = u.z_tensors, material.fractions.at(u.z_tensors)[name]
     mass = (body.density or 0.0) * values[AMOUNT + name]
-    axes, v = dict(zip("xyz"[: step.mesh.dim], (x, y, z), strict=False)), u.v
+    axes, v = "xyz"[: step.mesh.dim], u.v
     loss = CF(0.0)
     if body.viscosity is not None:
         eps, read = sym(u.L), rates.read_values(body.viscosity, u)
@@ -362,7 +372,7 @@ def densities(step: Step, name: str, u: Fields) -> dict[str, CoefficientFunction
     return {
         "mass": mass,
         "volume": theta,
-        **{axis: theta * coordinate for axis, coordinate in axes.items()},
+        **{axis: theta * position[i] for i, axis in enumerate(axes)},
         **{f"momentum_{axis}": mass * v[i] for i, axis in enumerate(axes)},
         "kinetic": 0.5 * mass * inner(v, v),
         "stored": shears.get(name, CF(0.0)) + volumes[name] + theta * of_volume,

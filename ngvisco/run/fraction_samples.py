@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from ngsolve import CF, x, y, z
+from ngsolve import CF, L2, CoefficientFunction, GridFunction, VectorValued, x, y, z
 
 from ngvisco.physics.mixture import Mixture
 from ngvisco.run.frames import Lattice, places
@@ -43,25 +43,38 @@ class FractionSamples:
         assert isinstance(material, Mixture)
         theta, mesh = material.fractions.at(step.now.z_tensors), step.mesh
         self.names, self.dim, self._ranks = list(names), mesh.dim, simulation.ranks
+        self._mesh = mesh
         self.lattice, self.periods = Lattice(mesh, PIECES), Periods.of(mesh, simulation.ranks)
         place, v = (x, y, z)[: mesh.dim], step.now.v
         values = (*place, *(v[i] for i in range(mesh.dim)), step.context.h, *(theta[n] for n in names))
         self._values = CF(values).Compile()
+        self.positions: dict[str, CoefficientFunction] = {name: CF(place) for name in names}
+        """Positions of points, m, for means over a body; the points of a body that crosses a periodic
+        boundary are displaced by periods, so that the body is in one piece."""
+        self._moves: dict[str, GridFunction] = {}
+        if len(self.periods.vectors):
+            cellwise = VectorValued(L2(mesh, order=0), mesh.dim)
+            self._moves = {name: GridFunction(cellwise) for name in names}
+            self.positions = {name: CF(place) + move for name, move in self._moves.items()}
 
     def read(self) -> None:
-        """Sample the present state; ``places`` then numbers the places of the points, (points,).
+        """Sample the present state, and set the ``positions`` of bodies; ``places`` then numbers the places
+        of the points, (points,).
 
         Identified points of periodic boundaries are at one place.
         """
-        table, cells = self.lattice.values(self._values), self.lattice.cells
+        table, cells, own = self.lattice.values(self._values), self.lattice.cells, slice(None)
         if self._ranks.is_distributed:
             parts = self._ranks.gathered((table, cells))
             starts = np.cumsum([0, *(len(table) for table, _ in parts)])
             table = np.concatenate([table for table, _ in parts])
+            before = sum(len(part) for _, part in parts[: self._ranks.mpi.rank])
+            own = slice(before, before + len(cells))
             cells = np.concatenate([part + start for (_, part), start in zip(parts, starts, strict=False)])
         dim, count = self.dim, len(self.names)
         first, number = places(table[:, :dim])
-        self._images = self.periods.pairs(table[first, :dim])
+        self._domain = table[first, :dim]
+        self._images = self.periods.pairs(self._domain)
         self.places = merged(len(first), self._images)[number]
         sums = [np.bincount(self.places, theta) for theta in table[:, -count:].T]
         averaged = (np.array(sums) / np.bincount(self.places))[:, self.places]
@@ -71,6 +84,21 @@ class FractionSamples:
         self._are_inside = dict(zip(self.names, averaged[:, first] >= HALF, strict=True))
         self._own = dict(zip(self.names, table[:, -count:].T[:, cells], strict=True))
         self._cuts: dict[str, Cut] = {}
+        self._offsets: dict[str, np.ndarray] = {}
+        of_cell = self.lattice.of_points[self.lattice.cells[:, 0]]
+        for name, move in self._moves.items():
+            self._offsets[name] = offsets = self.periods.offsets(
+                self._domain, self._points, self._are_inside[name], self._images
+            )
+            of_cells = move.vec.FV().NumPy().reshape(dim, self._mesh.ne)
+            is_part = self._are_inside[name][self._points[own]].any(axis=1)
+            for chosen in (~is_part, is_part):  # the body's part of a cell decides
+                of_cells[:, of_cell[chosen]] = offsets[own][chosen].T
+
+    def place(self) -> None:
+        """Set the ``positions`` of bodies for the present state."""
+        if self._moves:
+            self.read()
 
     def cut(self, name: str) -> Cut:
         """The part of the domain where a body's fraction is at least 1/2.
@@ -86,12 +114,12 @@ class FractionSamples:
         if not len(self.periods.vectors):
             return self.cut(name)
         corners = self._corners.copy()
-        corners[:, :, : self.dim] += self._offsets(name)
+        corners[:, :, : self.dim] += self._offsets[name][:, None]
         return Cut.of(corners, self._points, self._averaged[name], HALF)
 
-    def _offsets(self, name: str) -> np.ndarray:
-        """Displacements of the lattice's simplices that put the body's parts together, (parts, 1, dim)."""
-        return self.periods.offsets(self._points, self._are_inside[name], self._images)[:, None]
+    def folded(self, points: np.ndarray) -> np.ndarray:
+        """Images of ``points``, (points, dim), within the domain along each period."""
+        return self.periods.folded(points, self._domain)
 
     def traced(self, name: str, is_whole: bool) -> tuple[Cut, np.ndarray, np.ndarray]:
         """A body's cut with columns x, y, v_1, v_2, the shares of a part's three corners, and the part's
@@ -105,7 +133,7 @@ class FractionSamples:
         number = np.broadcast_to(np.arange(count, dtype=float)[:, None, None], (count, 3, 1))
         moving = self._corners[:, :, :4].copy()
         if is_whole and len(self.periods.vectors):
-            moving[:, :, :2] += self._offsets(name)
+            moving[:, :, :2] += self._offsets[name][:, None]
         theta = self._averaged[name]
         traced = Cut.of(np.concatenate([moving, shares, number], axis=2), self._points, theta, HALF)
         return traced, moving[:, :, :2], theta

@@ -45,9 +45,7 @@ class Periods:
     @property
     def images(self) -> np.ndarray:
         """Displacements of the domain's nearest images, and zero, (3^count, dim)."""
-        shares = np.array(list(product((0.0, 1.0, -1.0), repeat=len(self.vectors))))
-        moved: np.ndarray = shares @ self.vectors
-        return moved
+        return _combinations(self.vectors)
 
     def pairs(self, points: np.ndarray) -> list[np.ndarray]:
         """For each period, numbers (pairs, 2) of points and of their images."""
@@ -60,33 +58,58 @@ class Periods:
             result.append(np.stack([np.flatnonzero(np.isfinite(distance)), image[np.isfinite(distance)]], 1))
         return result
 
-    def offsets(self, cells: np.ndarray, is_inside: np.ndarray, pairs: list[np.ndarray]) -> np.ndarray:
-        """Displacements of cells that make the parts of a region one across periodic boundaries, (cells,
-        dim).
+    def offsets(
+        self, points: np.ndarray, cells: np.ndarray, is_inside: np.ndarray, pairs: list[np.ndarray]
+    ) -> np.ndarray:
+        """Displacements of cells that make a region one across periodic boundaries, (cells, dim).
 
-        The corners of ``cells``, (cells, corners), are numbers of points, of which ``is_inside`` says whether
-        they are in the region, and ``pairs`` is of these points.  The largest part stays in its place, and so
-        do parts that meet their own image.
+        The corners of ``cells``, (cells, corners), are numbers of ``points``, (points, dim), of which
+        ``is_inside`` says whether they are in the region, and ``pairs`` is of these points.  The largest part
+        of the region stays in its place; parts that meet their own image along a period are not displaced
+        along it.  A cell outside the region is displaced to the image that is nearest to the region.
         """
-        count, dim = len(is_inside), self.vectors.shape[1]
-        part = _connected(cells, is_inside)
+        part, free = _connected(cells, is_inside), np.ones(len(self.vectors), dtype=bool)
         joints = []
-        for vector, (start, end) in zip(self.vectors, (both.T for both in pairs), strict=True):
+        for number, (start, end) in enumerate(both.T for both in pairs):
             kept = is_inside[start] & is_inside[end]
             joined = np.unique(np.stack([part[start[kept]], part[end[kept]]], axis=1), axis=0)
-            joints += [(a, b, -vector) for a, b in joined.tolist()]
-            joints += [(b, a, vector) for a, b in joined.tolist()]
-        of_parts = np.zeros((part.max(initial=-1) + 1, dim))
+            step = np.eye(len(self.vectors), dtype=int)[number]
+            joints += [(a, b, -step) for a, b in joined.tolist()] + [(b, a, step) for a, b in joined.tolist()]
+        of_parts = np.zeros((part.max(initial=-1) + 1, len(self.vectors)), dtype=int)
         left = set(np.unique(part[is_inside]).tolist())
         for first in np.argsort(-np.bincount(part[is_inside], minlength=1), kind="stable").tolist():
             if first in left:
-                found = _followed(first, joints, dim)
+                found = _followed(first, joints, len(self.vectors))
                 left -= set(found)
-                if all(np.allclose(found[a] + step, found[b]) for a, b, step in joints if a in found):
-                    of_parts[list(found)] = list(found.values())
+                is_open = np.ones(len(self.vectors), dtype=bool)
+                for a, b, step in joints:
+                    is_open &= a not in found or found[a] + step == found[b]
+                free &= is_open
+                of_parts[list(found)] = np.array(list(found.values())) * is_open
+        count = len(is_inside)
         corner = np.where(is_inside[cells], cells, count).min(axis=1)
-        placed = np.concatenate([of_parts[part], np.zeros((1, dim))])
-        return np.asarray(placed[corner])
+        result: np.ndarray = np.append(of_parts[part], np.zeros((1, len(self.vectors)), dtype=int), axis=0)
+        result = result[corner] @ self.vectors
+        edge, away = (corner < count) & ~is_inside[cells].all(axis=1), corner == count
+        if free.any() and edge.any():
+            centres, images = points[cells].mean(axis=1), _combinations(self.vectors[free])
+            edges = centres[edge] + result[edge] + images[:, None]
+            _, nearest = cKDTree(edges.reshape(-1, points.shape[1])).query(centres[away])
+            result[away] = -images[nearest // edges.shape[1]]
+        return result
+
+    def folded(self, points: np.ndarray, domain: np.ndarray) -> np.ndarray:
+        """Images of ``points`` that lie within the ``domain`` of the points of a mesh, along each period."""
+        if not len(self.vectors):
+            return points
+        along = np.linalg.pinv(self.vectors)
+        return points - np.floor(points @ along - (domain @ along).min(axis=0)) @ self.vectors
+
+
+def _combinations(vectors: np.ndarray) -> np.ndarray:
+    """Sums of vectors, each with one of the signs 0, 1 and -1, (3^count, dim); the first is zero."""
+    sums: np.ndarray = np.array(list(product((0.0, 1.0, -1.0), repeat=len(vectors)))) @ vectors
+    return sums
 
 
 def merged(count: int, pairs: list[np.ndarray]) -> np.ndarray:
@@ -107,9 +130,10 @@ def _connected(cells: np.ndarray, is_inside: np.ndarray) -> np.ndarray:
     return _components(len(is_inside), ends[is_inside[ends].all(axis=1)])
 
 
-def _followed(first: int, joints: list[tuple[int, int, np.ndarray]], dim: int) -> dict[int, np.ndarray]:
-    """Displacements of the parts that joints connect with a first part, which stays in its place."""
-    found, reached = {first: np.zeros(dim)}, [first]
+def _followed(first: int, joints: list[tuple[int, int, np.ndarray]], count: int) -> dict[int, np.ndarray]:
+    """Numbers of ``count`` periods by which the parts that joints connect with a first part are displaced;
+    the first part stays in its place."""
+    found, reached = {first: np.zeros(count, dtype=int)}, [first]
     while reached:
         part = reached.pop()
         for a, b, step in joints:

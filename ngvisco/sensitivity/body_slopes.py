@@ -26,7 +26,7 @@ from scipy.sparse.linalg import splu
 from ngvisco.forms.mesh.mesh_arrays import rules
 from ngvisco.forms.term import Integrand
 from ngvisco.physics.mixture import Mixture
-from ngvisco.run.body_tables import Bodies, densities
+from ngvisco.run.body_tables import Bodies
 from ngvisco.run.fraction_samples import PIECES
 from ngvisco.run.frames import Lattice
 from ngvisco.run.outlines import closest
@@ -73,10 +73,10 @@ class BodySlopes:
                 return tractions.shares(name, fields)[quantity]
 
             return self._quotient(name, self.variations.of_fields(share), share(self.variations.fields))
-        of_state = densities(self.step, name, self.variations.trial)[quantity]
+        of_state = self.table.densities(name, self.variations.trial)[quantity]
         slope = self.variations.of(Integrand(of_state))
         if quantity in _QUOTIENTS:
-            return self._quotient(name, slope, densities(self.step, name, self.step.now)[quantity])
+            return self._quotient(name, slope, self.table.densities(name, self.step.now)[quantity])
         return slope
 
     @cached_property
@@ -86,9 +86,10 @@ class BodySlopes:
     def _quotient(self, name: str, of_integral: Slope, density: CoefficientFunction) -> Slope:
         """Slope of an integral over a body's volume; ``density`` is the integrand at the present state."""
         of_volume = self.variations.of(Integrand(self._theta[name]))
-        volume = densities(self.step, name, self.step.now)["volume"]
+        volume = self.table.densities(name, self.step.now)["volume"]
 
         def slope() -> np.ndarray:
+            self.table.fractions.place()
             total, size = (self.step.quadrature.integrate_cells(f) for f in (density, volume))
             return (of_integral() - total / size * of_volume()) / size
 
@@ -160,10 +161,11 @@ class BodySlopes:
         i, j = (axis + 1) % 3, (axis + 2) % 3  # the torque's component of c x F is c_i F_j - c_j F_i
         axes = "xyz"[:dim]
         of_centre = [self.of(f"{name}_{coordinate}") for coordinate in axes]
-        first = densities(self.step, name, self.step.now)
+        first = self.table.densities(name, self.step.now)
         integrate = self.step.quadrature.integrate_cells
 
         def slope() -> np.ndarray:
+            self.table.fractions.place()
             tractions.average()
             of_torque, _ = integrals[column]
             volume = integrate(first["volume"])
@@ -180,12 +182,14 @@ class BodySlopes:
         tractions = self.table.tractions
         assert tractions is not None
         chi, quadrature = tractions.chi[name], self.step.quadrature
-        by_stress = self.variations.of_fields(lambda fields: tractions.densities(fields, Grad(chi))[column])
+        by_stress = self.variations.of_fields(
+            lambda fields: tractions.densities(name, fields, Grad(chi))[column]
+        )
         space = chi.space
-        of_chi = tractions.densities(self.variations.fields, Grad(space.TestFunction()))[column]
+        of_chi = tractions.densities(name, self.variations.fields, Grad(space.TestFunction()))[column]
         load = LinearForm(space)
         load += quadrature.cells(of_chi)
-        now = tractions.densities(self.variations.fields, Grad(chi))[column]
+        now = tractions.densities(name, self.variations.fields, Grad(chi))[column]
 
         def slope() -> np.ndarray:
             tractions.average()

@@ -1,4 +1,4 @@
-"""Measures of outlines do not depend on the place of a body in a periodic domain."""
+"""Outlines and centroids do not depend on the place of a body in a periodic domain."""
 
 from functools import reduce
 from itertools import product
@@ -13,8 +13,10 @@ from ngvisco.geometries import structured_box
 from ngvisco.sensitivity.body_slopes import BodySlopes
 from ngvisco.sensitivity.variations import Variations
 
-MEASURES = ["deformation", "outline", "turning", "gap"]
+MEASURES = ["deformation", "outline", "turning", "traction", "gap"]
 SHAPES = ("long_L", "long_B", "long_angle", "long_perimeter", "long_inside", "long_turning", "gap_long_round")
+CENTROIDS = ("long_x", "long_y", "round_x", "round_y")
+TORQUES = ("long_torque", "round_torque")
 CELLS = 12
 
 
@@ -32,6 +34,7 @@ def table_of(centre, periodic="xy"):
     """The run and its table of an inclined ellipse and a small disc to its right, turned by a periodic
     flow."""
     solid = {"material": nv.ReferentialNeoHookean(K_e=1.0, G_e=1.0), "density": 1.0}
+    solid["viscosity"] = nv.StokesViscosity(K_v=0.1, G_v=0.1)
     away = (centre[0] + 0.42, centre[1])
     bodies = [
         nv.Body(name="long", where=ellipse(centre, 0.5, 0.3, periodic), **solid),
@@ -56,15 +59,19 @@ def measured(*args):
     names = table.prepare(run)
     (row,) = table._sample(run)
     slopes = BodySlopes(table, Variations(run.rothe_step))
-    return dict(zip(names, row, strict=True)), [np.linalg.norm(slopes.of(name)()) for name in SHAPES]
+    sizes = [np.linalg.norm(slopes.of(name)()) for name in (*SHAPES, "long_x", "round_y")]
+    return dict(zip(names, row, strict=True)), sizes
 
 
 @pytest.mark.parametrize("moved", [(6, 0), (5, 7)])
 def test_an_ellipse_over_the_boundary_has_the_measures_of_one_in_the_middle(moved):
     """The cells of the mesh are images of each other, so that the figures agree to rounding."""
     (inside, slopes), (over, of_over) = measured((0.5, 0.5)), measured(tuple(0.5 + np.array(moved) / CELLS))
-    for name in SHAPES:
+    for name in (*SHAPES, *TORQUES):
         assert over[name] == pytest.approx(inside[name], rel=1e-8), name
+    for number, name in enumerate(CENTROIDS):
+        periods = over[name] - inside[name] - moved[number % 2] / CELLS
+        assert periods == pytest.approx(round(periods), abs=1e-9) and 0 <= over[name] <= 1
     assert of_over == pytest.approx(slopes, rel=1e-8)
 
 
@@ -75,17 +82,38 @@ def test_an_ellipse_over_the_wall_of_a_channel_is_not_put_together():
     assert measured((0.5, 1.0), "x")[0]["long_inside"] == pytest.approx(over["long_inside"] / 2, rel=0.02)
 
 
+def row_of(where, mesh, measures=()):
+    """The table of a body in a mesh at rest."""
+    solid = {"material": nv.ReferentialNeoHookean(K_e=1.0, G_e=1.0), "density": 1.0}
+    table = nv.Bodies(None, measures=measures)
+    bodies = [nv.Body(name="body", where=where, **solid), nv.Body(name="rest", **solid)]
+    run = nv.Simulation(mesh, nv.Model(bodies=bodies), dt=0.01, observers=[table])
+    names = table.prepare(run)
+    return dict(zip(names, table._sample(run)[0], strict=True))
+
+
 def test_a_layer_around_a_channel_stays_in_its_place():
     """A layer meets its own image on both sides; its ellipse is that of the rectangle in the domain."""
-    solid = {"material": nv.ReferentialNeoHookean(K_e=1.0, G_e=1.0), "density": 1.0}
-    table = nv.Bodies(None, measures=["deformation", "outline"])
-    layer = nv.Body(name="layer", where=nv.Block((-1.0, 0.25), (2.0, 0.5)), **solid)
-    mesh = structured_box((1.0, 1.0), (8, 8), periodic="x")
-    run = nv.Simulation(
-        mesh, nv.Model(bodies=[layer, nv.Body(name="rest", **solid)]), dt=0.01, observers=[table]
-    )
-    names = table.prepare(run)
-    row = dict(zip(names, table._sample(run)[0], strict=True))
+    layer = nv.Block((-1.0, 0.25), (2.0, 0.5))
+    row = row_of(layer, structured_box((1.0, 1.0), (8, 8), periodic="x"), ["deformation", "outline"])
     # 4/sqrt(12) times the sides; the outline of a layer of two cells is the two lines beside it
-    assert row["layer_L"] == pytest.approx(4 / 12**0.5, rel=1e-9)
-    assert row["layer_perimeter"] == pytest.approx(2.0, rel=1e-9)
+    assert row["body_L"] == pytest.approx(4 / 12**0.5, rel=1e-9)
+    assert row["body_perimeter"] == pytest.approx(2.0, rel=1e-9)
+    assert row["body_x"] == pytest.approx(0.5, rel=1e-9)
+
+
+def test_a_layer_is_put_together_across_the_boundaries_that_it_lies_on():
+    """It meets its own image in x only: its halves at the bottom and the top are one layer."""
+    layer = nv.Block((-1.0, -1.0), (2.0, 0.125)) | nv.Block((-1.0, 0.75), (2.0, 2.0))
+    row = row_of(layer, structured_box((1.0, 1.0), (8, 8), periodic="xy"), ["deformation"])
+    assert (row["body_x"], row["body_y"]) == pytest.approx((0.5, 0.9375), rel=1e-9)
+    assert row["body_B"] == pytest.approx(4 / 12**0.5 * 0.375, rel=1e-9)
+
+
+def test_a_block_over_an_edge_of_space_has_its_centroid_there():
+    """The block is cut into four parts by the boundaries of a box."""
+    moves = product((-1, 0), (0,), (-1, 0))
+    low, high = (0.625, 0.375, 0.75), (1.25, 0.625, 1.5)
+    blocks = [nv.Block(tuple(np.add(low, move)), tuple(np.add(high, move))) for move in moves]
+    row = row_of(reduce(or_, blocks), structured_box((1.0, 1.0, 1.0), (8, 8, 4), periodic="xz"))
+    assert [row[f"body_{axis}"] for axis in "xyz"] == pytest.approx([0.9375, 0.5, 0.125], rel=1e-9)
