@@ -3,7 +3,7 @@
 import pickle
 
 import numpy as np
-from ngsolve import CF, Integrate, Mesh, dx
+from ngsolve import CF, VERTEX, Integrate, Mesh, dx
 
 from ngvisco.errors import MeshError
 from ngvisco.parallel.communicator import Communicator
@@ -42,8 +42,9 @@ class MeshPart(Mesh):
 def distributed(mesh: Mesh | None, ranks: Communicator) -> Mesh:
     """Distribute the first rank's mesh by METIS, collectively; on one process return the mesh itself.
 
-    Raises MeshError on every rank if the mesh is curved by no known geometry, if it has fewer cells than
-    there are ranks for them, or if METIS leaves one of these ranks without cells.
+    Raises MeshError on every rank if the mesh is curved by no known geometry, if a facet has several images
+    across periodic boundaries, if the mesh has fewer cells than there are ranks for them, or if METIS leaves
+    one of these ranks without cells.
 
     Parameters
     ----------
@@ -178,5 +179,31 @@ def _check(mesh: Mesh | None, parts: int) -> None:
     assert mesh is not None
     if mesh.GetCurveOrder() > 1 and not has_geometry(mesh):
         raise MeshError(CURVED)
+    if mesh.dim == 3 and (images := _images_of_facets(mesh)) > 1:
+        raise MeshError(
+            f"the corners of a facet are identified with those of {images} other facets, because the mesh "
+            "is one cell wide along a periodic direction; Netgen does not distribute such a mesh: expected "
+            "two or more cells along each periodic direction, or one process"
+        )
     if mesh.ne < parts:
         raise MeshError(f"the mesh has {mesh.ne} cells for {parts} ranks with cells: expected fewer ranks")
+
+
+def _images_of_facets(mesh: Mesh) -> int:
+    """The largest number of boundary facets of which each has an image of every corner of one facet.
+
+    Netgen ends a process if it finds two such facets (``Mesh::SendMesh``); a mesh of a single cell along two
+    periodic directions has them.
+    """
+    images: dict[int, list[int]] = {}
+    for (first, second), _ in mesh.GetPeriodicNodePairs(VERTEX):
+        images.setdefault(first, []).append(second)
+        images.setdefault(second, []).append(first)
+    facets = (mesh.ngmesh.Elements2D().NumPy()["nodes"][:, :3].astype(np.int64) - 1).tolist()
+    facets = [facet for facet in facets if all(corner in images for corner in facet)]
+    at: dict[int, set[int]] = {}
+    for number, facet in enumerate(facets):
+        for corner in facet:
+            at.setdefault(corner, set()).add(number)
+    near = {corner: set().union(*(at.get(image, ()) for image in images[corner])) for corner in at}
+    return max((len(set.intersection(*(near[corner] for corner in facet))) for facet in facets), default=0)

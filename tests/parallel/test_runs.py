@@ -393,38 +393,51 @@ def test_a_curved_run_goes_on_with_any_number_of_ranks(tmp_path):
     assert_same_ledger(rows(alone), rows(several))
 
 
-EMPTY = """
+DISTRIBUTED = """
 from mpi4py import MPI
 from ngvisco.errors import MeshError
-from ngvisco.geometries import box
+from ngvisco.geometries import box, structured_box
 from ngvisco.parallel import mesh
 from ngvisco.parallel.communicator import Communicator
 
 ranks = Communicator(MPI.COMM_WORLD)
 
-class Empty(mesh.MeshPart):
-    ne = 0
+def said(domain):
+    try:
+        return f"{mesh.distributed(domain, ranks).ne} cells"
+    except MeshError as error:
+        return str(error)
 
-if ranks.rank == 1:
-    mesh.MeshPart = Empty
-try:
-    said = f"{mesh.distributed(box((1, 1), 0.5), ranks).ne} cells"
-except MeshError as error:
-    said = str(error)
-every = ranks.mpi.gather(said)
+def narrow(*cells, periodic="xy"):
+    return said(structured_box((1, 1, 1), cells, periodic=periodic))
+
+def empty():
+    class Empty(mesh.MeshPart):
+        ne = 0
+
+    if ranks.rank == 1:
+        mesh.MeshPart = Empty
+    return said(box((1, 1), 0.5))
+
+every = ranks.mpi.gather([narrow(1, 1, 4), narrow(1, 2, 4), narrow(1, 2, 4, periodic="xyz"), empty()])
 if ranks.is_first:
-    print(every)
+    for said in zip(*every):
+        print(*said, sep="; ")
 """
 
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_a_rank_that_metis_leaves_without_cells_is_refused_on_every_rank(tmp_path):
+def test_meshes_that_cannot_be_distributed_are_refused_on_every_rank(tmp_path):
     """METIS sometimes leaves a rank without cells if there are one or two cells for each rank."""
-    (tmp_path / "empty.py").write_text(EMPTY)
-    result = run("-m", "mpi4py", tmp_path / "empty.py", ranks=3)
+    (tmp_path / "distributed.py").write_text(DISTRIBUTED)
+    result = run("-m", "mpi4py", tmp_path / "distributed.py", ranks=3)
     assert result.returncode == 0, result.stderr
-    assert result.stdout.count("METIS gives one of 2 ranks none of the") == 3
+    narrow, wide, in_space, empty = result.stdout.splitlines()
+    for said in (narrow, in_space):
+        assert said.count("one cell wide along a periodic direction; Netgen does not distribute") == 3
+    assert wide.count("cells") == 3
+    assert empty.count("METIS gives one of 2 ranks none of the") == 3
 
 
 REFUSED = {
