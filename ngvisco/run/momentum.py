@@ -189,7 +189,11 @@ class Momentum:
         # walls to a body that is clamped under stress, although the sum of the reactions vanishes
         rounding = _ROUNDING * ((totals.exchanged / self._reach).max(initial=0.0) + totals.stressed)
         moving = totals.moving + values["mass"] * self._velocity() + rounding
-        scale = self._reach * moving + totals.exchanged
+        # a defect above all momentum of the body does not move the body: walls bear the defect, as they bear
+        # the body's stress
+        is_borne = abs(totals.defect) > self._reach * moving
+        borne = np.where(is_borne, self._reach * totals.stressed, 0.0)
+        scale = self._reach * moving + totals.exchanged + borne
         row[RELATIVE] = float((abs(totals.defect) / np.where(scale > 0, scale, 1.0)).max())
         return row
 

@@ -281,3 +281,25 @@ def test_a_clamped_body_under_stress_rests_without_warnings():
     assert ledger.column("v_max")[-1] < 1e-17  # m/s
     assert ledger.column("momentum_defect_relative").max() < 1e-3
     assert not ledger.column("passive_unsolved").any()
+
+
+def test_walls_bear_the_torque_of_a_heated_block_that_they_clamp():
+    """The jumps of the thermal stress in a row of cells with one diagonal have a torque of 1e-6 of its own.
+
+    Nothing moves, since the walls bear this torque; momentum and impulses of walls are no scale for it.
+    """
+    metal = nv.Thermal(
+        material=nv.LinearElastic(K_e=160e9, G_e=80e9), c=3.6e6, theta_R=293.0, expansion=3.6e-5
+    )
+    hot, cold = (nv.WallHeat(temperature=T, coefficient=1e6) for T in (400.0, 300.0))
+    run = nv.Simulation(
+        structured_box((0.01, 0.001), (10, 1)),
+        nv.Model(material=metal, heat=nv.Heat(conductivity=50.0)),
+        dt=2.0,
+        walls={"left": nv.NoSlip(heat=hot), "right": nv.NoSlip(heat=cold)},
+        initial=nv.Initial(density=7800.0),
+    )
+    ledger = run.run(8.0)
+    torques = ledger.column("angular_momentum_defect")
+    assert abs(torques).max() > 1e3 * abs(ledger.column("angular_momentum")).max()
+    assert ledger.column("momentum_defect_relative").max() < 1e-3
