@@ -258,11 +258,11 @@ def structured_box(
         Length of the last row over the first, by direction, from 1e-6 to 1e6, with a geometric sequence
         between; by default 1.
     crossed : bool
-        Whether rectangles have both diagonals, in two dimensions.  With k = 1 and m = 0 triangles with one
-        diagonal lock: where K is much larger than G they hardly move at constant volume.
+        Whether rectangles have both diagonals, in two dimensions.  With k = 1 and m = 0 rectangles with one
+        diagonal lock if K is much larger than G.
     refine_corners : mapping of walls to whole numbers >= 0, optional
-        Number of times that cells at the ends of a wall are halved, by the wall's name: at a lid whose
-        velocity jumps there the computed velocity changes over one cell.
+        Number of times that cells at the ends of a wall are halved, by the wall's name.  Where the velocity
+        of a lid jumps at its ends, the computed velocity changes over one cell.
     size, periodic, split_corners
         As for ``box``.
 

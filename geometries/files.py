@@ -51,7 +51,7 @@ def load(
     Parameters
     ----------
     path : path
-        A .vol, .msh (gmsh), STEP or BREP file; in a case file relative to it.
+        A .vol, .msh (gmsh), STEP or BREP file; a path in a case file is relative to the case file.
     maxh : float
         Largest size of a cell, in the file's unit; required for geometries.
     order : int

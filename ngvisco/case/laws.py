@@ -130,11 +130,11 @@ def custom_material(
     parameters : mapping of names to numbers, optional
         Numbers that the energy reads by name, without conversion of units.
     per : str
-        Measure to which the energy refers: "volume" (actual), "referential volume" or "mass"; with the last
-        two the carried variables are the tensors over J, and A = 1/J.
+        Measure to which the energy refers: "volume" (actual), "referential volume" or "mass"; with
+        "referential volume" and "mass" the carried variables are the tensors over J, and A = 1/J.
     rho_R : float, optional
-        Density where J = 1, needed by an energy per mass; it determines the initial density from J, or J from
-        the density.
+        Density where J = 1, needed by an energy per mass.  The density where J = 1 determines the initial
+        density from J, or J from the density.
     """
     carried = tuple(_variable(text) for text in require_names("Custom.variables", variables))
     for name in {v.name for v in carried} & set(_RESERVED):

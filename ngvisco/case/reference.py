@@ -304,12 +304,12 @@ def _row(entry: KeyEntry) -> str:
 _HEAD = """\
 # Keys of a case file
 
-Written by `ngvisco list --markdown`; `ngvisco explain KEY` explains one key, and `ngvisco new NAME` prints a
-case to start from. NAME stands for a name that you choose (a wall's, a variable's), N for the index of an
-array of tables. A key with kinds in italics belongs to these kinds only. An expression is a text of `x`, `y`,
-`z` (m), `t` (s), `pi`, numbers, `+ - * / **`, `sin cos tan asin acos atan atan2 exp log sqrt abs sinh cosh
-tanh min max` and `a if x < 1 else b`. A text with a number and its unit, `"5 km"`, may replace any number
-that has a unit; `[units]` chooses the units of plain numbers.
+`ngvisco list --markdown` writes this page. `ngvisco explain KEY` explains one key, and `ngvisco new NAME`
+prints a case to start from. In keys NAME stands for a name that you choose (of a wall or a variable), and N
+for the index of an array of tables. If kinds in italics stand below a key, only these kinds have the key. An
+expression is a text of `x`, `y`, `z` (m), `t` (s), `pi`, numbers, `+ - * / **`, `sin cos tan asin acos atan
+atan2 exp log sqrt abs sinh cosh tanh min max` and `a if x < 1 else b`. A text with a number and its unit,
+`"5 km"`, may replace any number that has a unit; `[units]` chooses the units of plain numbers.
 
 An expression of the variables, such as `energy`, reads the names in `variables` and `parameters`, `pi`, the
 identity `I` and entries `F[0, 1]`, with `tr det norm2 dot cof inv trans sym dev sph` of tensors (`norm2(A)`

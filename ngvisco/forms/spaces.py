@@ -73,7 +73,7 @@ class Discretisation:
         Number added to the degree of all quadrature of forms and ledger, 0 to 12.
     sharp : bool
         Whether smeared interfaces between bodies of one density are sharpened after each step, in cells of
-        two bodies that the step does not pass wholly; needs m = 1.
+        two bodies.  A cell that an interface crosses completely in a step is not sharpened.  Needs m = 1.
     """
 
     k: Annotated[int, Quantity("1", "from 1 to 3")] = 2

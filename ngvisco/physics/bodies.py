@@ -246,8 +246,8 @@ class Body:
         Letters, digits and _; names of the body's fields and columns begin with it.
     where : Tensor or ngvisco.shapes.Shape, optional
         Initial place of the body: a shape, or the region where a function of x, y, z is > 0; in case files a
-        shape, a condition, or a list of these, whose union is the place.  A body without a place fills the
-        region that no other body covers; at most one body may do so.
+        shape, a condition, or a list of shapes and conditions, whose union is the place.  A body without a
+        place fills the region that no other body covers; at most one body may have no place.
     material : Material
         The body's material, in case files with the keys of [material].
     viscosity : Viscosity, optional
@@ -256,17 +256,17 @@ class Body:
         The body's flow rule, in case files with the keys of [rheology.creep]; None with a network, whose
         branches have their own rules.
     heat : Heat, optional
-        The body's conductivity and heat source, in case files with the keys of [rheology.heat]; weighted by
-        the body's fraction, both add to those of [rheology.heat].  All bodies at a point have one
-        temperature.
+        The body's conductivity and heat source, in case files with the keys of [rheology.heat]; conductivity
+        and source are weighted by the body's fraction, and add to those of [rheology.heat].  All bodies at a
+        point have one temperature.
     density : float, optional
         Density where J = 1; default rho_R of the material.
     parts : bool
-        Whether the body parts from more compressible matter, as a solid in a light gas does from what it
-        touches.  In cells that both share, a change of volume strains the body along the interface's normal
-        by its own compliance alone, and shear across the interface not at all (FORMULATION.md, Section 9).
-        These cells then resist compression by the bulk modulus alone: discs of four cells across that meet do
-        not rebound with it.  It is for bodies whose surface is a small part of them.
+        Whether the body separates from more compressible matter, as a solid in a light gas separates from a
+        wall.  In cells that body and gas share, a change of volume strains the body along the interface's
+        normal by the body's own compliance alone, and shear across the interface does not strain the body
+        (FORMULATION.md, Section 9).  Shared cells then resist compression by the bulk modulus alone, so that
+        two discs of four cells across do not rebound.  The option is for bodies that are many cells across.
     order : int
         The body of higher order fills the overlap of two bodies at the start.  Bodies of one order must not
         overlap.  The body without a place is below all others and has no order.

@@ -43,7 +43,8 @@ class WallHeat:
     flux : float, optional
         Further flux inwards, independent of the temperature; a function of the place and the run's time.
     friction_share : float
-        Share of the wall's friction heat that heats the body, default all; the rest goes into the wall.
+        Share of the wall's friction heat that heats the body, default all.  The rest of the friction heat
+        goes into the wall.
     """
 
     temperature: Annotated[Function | None, Quantity("K", "> 0", 300.0)] = None

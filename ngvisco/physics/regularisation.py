@@ -35,19 +35,20 @@ class Regularisation:
     ----------
     delta_density : float
         Diffusion of the density by the r-Laplacian, div(delta |grad rho|^{r-2} grad rho), with its
-        compensating term in the momentum equation: it moves mass without power.
+        compensating term in the momentum equation.  The diffusion moves mass without power.
     r : float
         Exponent of the r-Laplacian; the paper's analysis has r > 3.
     delta_fields : float
-        Diffusion of all transported variables.  phi'' at rest has to be positive definite in all variables in
-        which the energy is not linear; ``WithQuadratic`` makes it so.
+        Diffusion of all transported variables.  phi'' at rest has to be positive definite in all variables
+        in which the energy is not linear; ``WithQuadratic`` makes phi'' positive definite.
     epsilon : float
         Friction epsilon |v|^{p-2} v in the momentum equation.
     p : float
         Exponent of the friction; the paper takes the exponent of the hyperviscosity.
     rho_max : float, optional
-        Density above which the paper's cut-off acts; default no cut-off. A density that starts at or below
-        rho_max + width stays there: with m = 0 by the scheme, with m > 0 by the limiter.
+        Density above which the paper's cut-off acts; default no cut-off.  A density that starts at or below
+        rho_max + width stays at or below rho_max + width, with m = 0 by the scheme, with m > 0 by the
+        limiter.
     width : float
         Width of density over which the cut-off falls from 1 to 0; the paper has 1.
     penalty : float

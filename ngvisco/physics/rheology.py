@@ -214,7 +214,7 @@ class Cross(_BetweenPlateaus):
     m : float
         Exponent of the fall; above 1 the shear stress would fall with the shear rate.
     floor : float
-        Shear rate below which its powers are smoothed.
+        Shear rate below which powers of the shear rate are smoothed.
     """
 
     m: Annotated[float, Quantity("1", "in (0, 1]", 0.8)]

@@ -48,7 +48,8 @@ class Slip(Wall):
     ----------
     straight : bool
         Whether the wall is meant to have straight facets that meet at an angle.  If False, facets that meet
-        at less than 60 degrees are refused: if they approximate a curved wall, slip turns into no slip.
+        at less than 60 degrees are refused, because on straight facets that approximate a curved wall slip
+        turns into no slip.
     """
 
     straight: Annotated[bool, Quantity(example=True)] = False
@@ -71,7 +72,7 @@ class PrescribedTangential(Wall):
     ----------
     velocity : vector of the mesh's dimension
         Velocity V of the wall, a function of x and of the run's time; each step takes its mean.  V.n must
-        vanish up to the geometry's approximation, as the wall is not open.
+        vanish up to the geometry's approximation, as matter does not cross the wall.
     """
 
     moves = is_held = True
@@ -109,7 +110,7 @@ class NavierFriction(Wall):
     Parameters
     ----------
     coefficient : number or coefficient function
-        Coefficient of the tangential stress -coefficient v_t; it may depend on x.
+        Coefficient of the tangential stress -coefficient v_t; the coefficient may depend on x.
     straight
         As for ``Slip``.
     """
@@ -157,15 +158,16 @@ class Inflow(Passage):
         Values of the material's variables in the inflow, by name, averaged over the step; default the inner
         values.  Values of variables of one distortion, such as F and J, must fit together.
     amounts : mapping of names to coefficient functions, optional
-        Bodies that flow in, at rest: amounts n_i by the bodies' names, the volumes at rest per actual volume,
-        0 for bodies without a name here.  The density is sum rho_i n_i.  Without amounts the bodies inside
-        flow in.
+        Bodies that flow in, at rest: amounts n_i by the bodies' names, the volumes at rest per actual
+        volume, 0 for bodies that are not named.  The density of the inflow is sum rho_i n_i.  Without
+        amounts the bodies inside flow in.
     temperature : number or coefficient function, optional
         Temperature of the inflow, for a material with heat; default the entropy inside.
     displacement : bool
         Whether the field ``displacement_NAME`` of the wall NAME is a result: w with dw/dt = v, zero at the
         start (in scripts ``Initial.values["displacement_NAME"]``), so that w.n is the integral of v.n over
-        time.  The mesh does not move: a w that stands for the wall's place has to be small beside a cell.
+        time.  The mesh does not move: if w means a displacement of the wall, w has to be small compared with
+        a cell.
     """
 
     moves = is_held = True
@@ -204,19 +206,19 @@ class Open(Passage):
     ----------
     pressure : number or coefficient function
         Pressure p, averaged over the step.  If the wall gives no other stress, no density and no values, a
-        fluid flows in with its volume and density at p.  Its only strain has to be the volume, its
-        referential density has to be known, and with an entropy the wall has to give a temperature.
+        fluid flows in with its volume and density at p.  The only strain of such a fluid is the volume, and
+        its referential density is known; with an entropy the wall has to give a temperature.
     traction : vector of the mesh's dimension, optional
         Traction f, with its normal part, averaged over the step.
     impedance : pair of numbers
-        Z_p and Z_s of dashpots along and across the normal.  Plane waves leave if these are the density times
-        the speeds of pressure and shear waves.
+        Z_p and Z_s of dashpots along and across the normal.  Plane waves leave if Z_p and Z_s are the
+        density times the speeds of pressure and shear waves.
     stiffness : pair of numbers
-        k_p and k_s of springs along and across the normal to a rigid ground, an elastic foundation.  w is the
-        displacement, always a result of walls on springs.
+        k_p and k_s of springs along and across the normal to a rigid ground, an elastic foundation.  The
+        displacement w of a wall on springs is always a result.
     backflow : bool
         Whether the kinetic energy that an inflow brings, -rho (v.n) |v|^2/2 where v.n < 0, is taken from the
-        flow: otherwise a given stress may feed an inflow without bound.
+        flow.  With False a given stress may feed an inflow without bound.
     density, values, amounts, temperature, displacement
         As for ``Inflow``.
     """

@@ -50,18 +50,19 @@ class AdaptiveSteps:
     Parameters
     ----------
     dt_min : float
-        Shortest step; a shorter one ends the run, unless it meets an output time.
+        Shortest step; a run that needs a shorter step ends, unless a shorter step ends at an output time.
     dt_max : float
         Longest step.
     tolerance : float, optional
-        Bound on a step's relative error in velocity, density and elastic variables, as the scheme estimates
-        it (the ledger's error_estimate); without a tolerance only unsolvable steps are shortened.
+        Bound on the relative error of a step in velocity, density and elastic variables, which the scheme
+        estimates (the ledger's error_estimate).  Without a tolerance only steps that are not solved are
+        shortened.
     patience : int
-        Accepted steps in a row after which the length is doubled; counts only without a tolerance.
+        Accepted steps in a row after which the length is doubled; has no effect with a tolerance.
     damage_growth : float, optional
-        Largest growth of the damage at a point in a step, for a material that breaks. A step with more growth
-        is repeated with a shorter length, down to dt_min, where any growth is accepted. The load at which a
-        body breaks has a relative error of about this size.
+        Largest growth of the damage at a point in a step, for a material that breaks. A step with more
+        growth is repeated with a shorter length, down to dt_min, where any growth is accepted. The load at
+        which a body breaks has a relative error of about damage_growth.
     """
 
     dt_min: Annotated[float, Quantity("s", "> 0", 1e-3)]

@@ -74,7 +74,7 @@ class TimeSteps:
     Parameters
     ----------
     dt : float
-        Length of a step; with [time.adaptive] of the first step.
+        Length of a step; with [time.adaptive] the length of the first step.
     scheme : str or TimeScheme
         Time scheme: "backward-euler" (order 1, the paper's), "midpoint" (order 2, damps nothing), "sdirk2"
         (order 2, damps what the step does not resolve) or "theta".
@@ -86,19 +86,18 @@ class TimeSteps:
         Whether each step ends where the scheme dissipates nothing; needs midpoint and [time.adaptive].
     limiter : bool
         Whether a limiter scales a cell towards its means after a step if rho, J, det F, ... are positive in
-        the mean but not at each point. The ledger's column limiter has the energy that it takes. With false
-        such a cell ends the run.
+        the mean but not at each point. The ledger's column limiter has the energy that the limiter takes.
+        With false a cell with a value that is not positive ends the run.
     drift : float
-        Largest |det F/J - 1| in the mean of a cell, for a tensor and a volume that are carried separately; a
-        step with more is refused.  A larger bound lets a run go on where a body is torn at a corner.
+        Largest |det F/J - 1| in the mean of a cell, for a tensor and a volume that are carried separately,
+        in an accepted step.  A larger bound lets a run go on where a body is torn at a corner.
     halvings : int
         How often a step of fixed length that is not solved is halved, before solver.method = "auto" turns to
-        the other solver; with 0 a step is not halved.  The other solver takes the next 16 steps, and then the
-        first one is tried again.
+        the other solver; with 0 a step is not halved.  The run tries the first solver again after 16 steps.
     velocity_scale : float, optional
-        A typical velocity, which sets the curvature of v below which the penalty of the hyperviscosity does
-        not depend on it; default: the velocity of flow, walls, free fall or elastic release, at rest a tenth
-        of the speed of sound.
+        A typical velocity.  This velocity sets the curvature of v below which the penalty of the
+        hyperviscosity does not depend on the curvature.  The default is the velocity of flow, walls, free
+        fall or elastic release, or a tenth of the speed of sound in a body at rest.
     adaptive : AdaptiveSteps, optional
         Bounds of step lengths that the run chooses; without this table all steps have one length.
     """

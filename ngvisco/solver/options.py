@@ -96,7 +96,8 @@ class NewtonOptions:
     Parameters
     ----------
     tolerance : float
-        The iteration ends when a relative increment is below ``tolerance``; this increment is still added.
+        The iteration ends when a relative increment is below ``tolerance``, after this increment has been
+        added.
     max_iterations : int
         Number of residual evaluations after which an attempt to solve a step has failed.
     refresh : float
@@ -107,13 +108,13 @@ class NewtonOptions:
         Sparse direct solver of the coupled solver: "umfpack", or, if the installation has it, "pardiso"
         (``pip install mkl``) or "mumps".
     coarse : str
-        Solver for the vertices' velocities in the split solver's two levels: "direct", or for more vertices
-        than can be factorised one of PETSc's multigrids, "gamg" or "hypre".  A warning says if a run does not
-        use the multigrid.
+        Solver for the vertices' velocities in the two levels of the split solver.  "direct" factorises the
+        matrix of the vertices; "gamg" and "hypre" are PETSc's multigrids for more vertices than can be
+        factorised.  A warning says if a run does not use the multigrid.
     method : str
         "coupled" solves for all unknowns at once (small meshes), "split" for the velocity, with the fields
-        as functions of the velocity (large meshes).  "auto" chooses one of the two by the mesh, and tries the
-        other one if a step is not solved.  Both solve the same equations.
+        as functions of the velocity (large meshes).  "auto" chooses "coupled" or "split" by the mesh, and
+        tries the other solver if a step is not solved.  The two solvers solve the same equations.
     threads : int or None
         Number of threads that share the cells in the split solver.  The default is the environment's
         NGVISCO_THREADS, or all processors, divided equally among the ranks.  The bits of a state do not

@@ -59,32 +59,32 @@ class Initial:
     density : number or coefficient function, optional
         Initial density rho_0; by default 1, or rho_R/J_0 for a material with a referential density rho_R.
     velocity : vector of the mesh's dimension, optional
-        Initial velocity; by default 0. It is projected so that v.n = 0 on walls and v = 0 on walls without
-        slip; on moving walls it keeps its tangential part.
+        Initial velocity; by default 0.  The initial velocity is projected so that v.n = 0 on walls and v = 0
+        on walls without slip; the tangential part on moving walls stays.
     F : 3x3 coefficient function or array, optional
         Initial elastic distortion, 3x3, det F > 0, from which the start values of all variables are derived
         (J_0 = det F_0, E_0 = sym F_0 - I, ...); by default the identity, or (rho_R/rho_0)^{1/3} I with a
-        referential density. In 2D its 13, 23, 31, 32 entries are 0.
+        referential density. In 2D the entries 13, 23, 31, 32 of F are 0.
     temperature : number or coefficient function, optional
-        Initial temperature of a material with heat; by default its reference temperature.  With different
-        thermal pressures each body has this temperature by itself: in shared cells the bodies reach one
-        pressure and a slightly different temperature.
+        Initial temperature of a material with heat; by default the reference temperature.  If bodies have
+        different thermal pressures, each body alone has the initial temperature; in shared cells the bodies
+        reach one pressure and a slightly different temperature.
     equilibrium : str, optional
         "hydrostatic": the volume J_0, one for each body, bears the loads at the start (F_0 = J_0^{1/3} I).
-        J_0 is the inverse of the bulk law at the pressure of the weight above and the local temperature.
-        The density is rho_R/J_0 for a material with a referential density and for bodies, else the given
-        one. With k > 1 an equilibrium needs m >= 1.
+        J_0 is the inverse of the bulk law at the pressure of the weight above and the local temperature. The
+        density is rho_R/J_0 for a material with a referential density and for bodies, and the given density
+        for all others. With k > 1 an equilibrium needs m >= 1.
     datum : str, optional
         With an equilibrium, the wall at which the mean pressure is ``datum_pressure``; without a wall and a
         point the datum is the place of the least pressure.
     datum_point : sequence of numbers, optional
         Point of the domain at which the pressure is ``datum_pressure``, m.
     datum_pressure : float
-        Pressure at the datum relative to the pressure at J = 1 and the reference temperature; the latter is
-        zero except for gases and materials with stress at rest.
+        Pressure at the datum relative to the pressure at J = 1 and the reference temperature, which is zero
+        except for gases and materials with stress at rest.
     values : mapping of names to coefficient functions, optional
-        Initial values by name: of variables of the material, which replace the derived ones, and of further
-        terms' evolving unknowns, which are zero by default.
+        Initial values by name: values of variables of the material, which replace the values that follow
+        from F, and of further terms' evolving unknowns, which are zero by default.
     """
 
     density: Annotated[ScalarLike | None, Quantity("kg/m^3", "> 0", 1.0)] = None

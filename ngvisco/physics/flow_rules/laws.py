@@ -247,8 +247,9 @@ class Perzyna(_Driven):
     b : float
         Rate of the saturation: the growth is 63 per cent of Q at the plastic strain 1/b.
     rate_floor : float
-        |Pi| below which psi is smoothed at zero, if nu > 0; matter below yield creeps by less.  Choose a
-        thousandth of the rates of interest: with a much smaller one Newton's iteration may fail.
+        |Pi| below which psi is smoothed at zero, if nu > 0; matter below yield creeps by less than
+        rate_floor.  Choose a thousandth of the rates of interest, since with a much smaller rate_floor
+        Newton's iteration may fail.
     law : str
         Direction of Pi: "mandel", or "conformation" for a fluid by a conformation tensor.
     """

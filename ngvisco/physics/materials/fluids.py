@@ -55,7 +55,7 @@ class BarotropicFluid(Material):
     J_min : float, optional
         J below which the energy is continued linearly, with form = "J" (paper: rem-neo-Hookean-ref).
     rho_R : float, optional
-        Density where J = 1; it determines the initial density from J, or J from the density.
+        Density where J = 1, which determines the initial density from J, or J from the density.
     """
 
     B: Annotated[Modulus, Quantity("Pa", "> 0", 1.0)]

@@ -36,8 +36,8 @@ class Branch:
     Parameters
     ----------
     material : Material
-        Material whose energy is a part of the network's energy.  Its tensors are those of the branch's
-        distortion; J and 1/J are shared by all branches.  K_e may be 0 for a branch that does not resist
+        Material whose energy is a part of the network's energy.  The material's tensors are those of the
+        branch's distortion.  All branches share J and 1/J.  K_e may be 0 for a branch that does not resist
         changes of volume.
     creep : FlowRule, optional
         Flow rule of the branch, local (nu = 0); None (default) makes the branch a spring.

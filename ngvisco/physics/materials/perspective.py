@@ -67,10 +67,10 @@ class PerReferentialVolume(Material):
     Parameters
     ----------
     material : Material
-        Material of psi, with variables J = det F and tensors J^a F, J^a Cof F, J^a F F^T, J^a Cof(F F^T); AX
-        = X/J is carried in the place of a tensor X.
+        Material of psi, with variables J = det F and tensors J^a F, J^a Cof F, J^a F F^T, J^a Cof(F F^T).
+        In place of a tensor X the wrapped material carries AX = X/J.
     rho_R : float, optional
-        Density where J = 1; it determines the initial density from J, or J from the density.
+        Density where J = 1, which determines the initial density from J, or J from the density.
     """
 
     material: Material
@@ -142,7 +142,7 @@ class PerMass(PerReferentialVolume):
     material : Material
         Material of psi, J/kg.
     rho_R : float
-        Density where J = 1; it determines the initial density from J, or J from the density.
+        Density where J = 1, which determines the initial density from J, or J from the density.
     """
 
     rho_R: Annotated[Modulus, Quantity("kg/m^3", "> 0", 1000.0, "arithmetic")]

@@ -64,11 +64,12 @@ def prony_network(
         Material whose moduli ``of`` explains: ``LinearElastic``, ``HardeningElastic``, ``OldroydB``,
         ``FENEP``, ``ReferentialNeoHookean``, ``IsochoricNeoHookean`` or ``ReferentialMooneyRivlin``.
     prony : array
-        Rows of a share g_i > 0 and a relaxation time tau_i > 0 at theta_R; ``read_prony`` reads them from a
-        file, which a case file names by { file = "table.csv" }.
+        Rows of a share g_i > 0 and a relaxation time tau_i > 0 at theta_R; ``read_prony`` reads the rows
+        from a file, which a case file names by { file = "table.csv" }.
     of : str
-        Modulus to which the shares refer, and which the material has: "G_0", at the shortest times, with
-        G_inf = (1 - sum g_i) G_0, or "G_inf", at the longest times, with G_0 = (1 + sum g_i) G_inf.
+        Modulus G to which the shares refer, and which is the modulus of the material: "G_0", at the shortest
+        times, with G_inf = (1 - sum g_i) G_0, or "G_inf", at the longest times, with G_0 = (1 + sum g_i)
+        G_inf.
     E : float, optional
         Activation energy of all relaxation times.
     C_1, C_2 : float, optional

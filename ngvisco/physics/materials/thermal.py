@@ -116,7 +116,7 @@ class Thermal(Material):
     p_infinity : float
         Stiffening pressure of a gas with the pressure Gamma c theta/J - p_infinity; default 0, an ideal gas.
     rho_R : float, optional
-        Density where J = 1; it determines the initial density from J, or J from the density.
+        Density where J = 1, which determines the initial density from J, or J from the density.
     entropy_unit : float, optional
         Unit of the carried entropy; default c.
     """

@@ -100,8 +100,8 @@ class WithQuadratic(Wrapper):
         Coefficient of the term sqrt(delta)/2 |z|^2 that is added to the energy.
     only : tuple of str, optional
         Names of the variables in the added term, no parameters; default all strains (paper:
-        rem-neo-Hookean-ref omits variables in which phi is strongly convex already).  Names that the material
-        has by F alone, or by B alone, choose an open ``elastic_state``.
+        rem-neo-Hookean-ref omits variables in which phi is strongly convex already).  If ``elastic_state``
+        is not given, names that belong to F alone or to B alone determine it.
     """
 
     delta: Annotated[float, Quantity("Pa^2", "> 0", 1e-6)]
