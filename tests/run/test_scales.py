@@ -110,6 +110,22 @@ def test_advice_foresees_steps_that_are_hard_to_solve():
     assert "different bulk energies" in unlike and "K_e/2*(J - 1)*(J - 1)/J" in unlike
 
 
+def test_cells_with_k_2_lock_in_slow_flows_whose_pressure_waves_are_not_followed():
+    """The stress of a flow is rho v^2, or the viscous stress if that is larger."""
+    slow = {"length": 1.0, "cell": 0.1, "velocity": 1.0, "speeds": (25.0, 0.0), "kinematic_viscosity": 0.1}
+    slow |= {"maxwell": math.inf, "dt": 0.05}
+    said = Scales(**slow).advice
+    (locked,) = [line for line in said if "lock" in line]
+    assert "6.2e+02 times the stress of the flow" in locked and "k = 3" in locked
+    others = [line for line in said if line is not locked]
+    assert Scales(**slow, k=3).advice == others
+    creeping = Scales(**slow | {"kinematic_viscosity": 1e3}).advice
+    fast, at_rest = (Scales(**slow | {"velocity": v}).advice for v in (10.0, 0.0))
+    followed, jelly = (Scales(**slow | new).advice for new in ({"dt": 0.001}, {"speeds": (25.0, 20.0)}))
+    for lines in (creeping, fast, at_rest, followed, jelly):
+        assert not any("lock" in line for line in lines)
+
+
 def test_sharp_interfaces_need_steps_within_a_cell():
     values = {"length": 1.0, "cell": 0.1, "velocity": 1.0, "speeds": (0.0, 0.0), "kinematic_viscosity": 0.0}
     values |= {"maxwell": math.inf}
