@@ -66,7 +66,8 @@ class Discretisation:
     Parameters
     ----------
     k : int
-        Order of the continuous velocity, 1, 2 or 3; 1 without hyperviscosity and with walls along the axes.
+        Order of the continuous velocity, 1, 2 or 3; order 1 needs walls along the axes, and admits no
+        hyperviscosity.
     m : int
         Order of the discontinuous density and transported variables, 0, 1 or 2.
     quadrature_bonus : int

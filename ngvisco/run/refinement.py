@@ -62,8 +62,8 @@ class Refinement:
         Name of one of the run's ``fields``, e.g. ``"disc_fraction"`` or ``"creep_rate"``.  If the field is a
         vector or a tensor, its norm counts.
     above : float
-        Share of the field's range over the domain. A cell is divided if the field varies by more than
-        ``above`` times this range in the cell and its neighbours.
+        Share of the field's range over the domain.  A cell is divided if the field varies by more than this
+        share of the range in the cell and its neighbours.
     levels : int
         Largest number of times that the edges of a cell of the first mesh are halved.
     every : float
