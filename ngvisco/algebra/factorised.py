@@ -8,6 +8,8 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import eigsh, splu
 
 from ngvisco.algebra import precision
+from ngvisco.algebra.banded import LARGEST as LARGEST_BAND
+from ngvisco.algebra.banded import Band
 from ngvisco.errors import StepError
 from ngvisco.parallel.exchange import Exchange, Owned
 from ngvisco.parallel.petsc import SumInverse
@@ -98,15 +100,21 @@ class DirectSolver:
 
 
 def _in_single(matrix: sp.csr_matrix) -> Callable[[np.ndarray], np.ndarray] | None:
-    """Factorise in single precision, scaled by the diagonal.  Return a solver, or None if the factors are not
-    accurate enough."""
+    """Factorise a symmetric matrix in single precision, scaled by the diagonal.  Return a solver, or None if
+    the factors are not accurate enough."""
     diagonal = abs(matrix.diagonal())
     unit = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    scaled = (sp.diags(unit) @ matrix @ sp.diags(unit)).tocsc()
-    try:
-        factors = splu(scaled.astype(precision.SINGLE), **_NEAR_SYMMETRIC)
-    except RuntimeError:
+    scaled = matrix.tocsr().copy()
+    scaled.data *= np.repeat(unit, np.diff(scaled.indptr)) * unit[scaled.indices]
+    factors: Any = Band(scaled)
+    if factors.entries > LARGEST_BAND:
+        try:
+            factors = splu(scaled.astype(precision.SINGLE).tocsc(), **_NEAR_SYMMETRIC)
+        except RuntimeError:
+            return None
+    elif not factors.factorise(precision.SINGLE):
         return None
+    del scaled
 
     def solve(r: np.ndarray) -> np.ndarray:
         r = unit * r

@@ -8,6 +8,7 @@ import scipy.sparse as sp
 
 import ngvisco as nv
 from ngvisco.algebra import factorised
+from ngvisco.algebra.banded import Band
 from ngvisco.algebra.factorised import MANY, SMOOTHED, DirectSolver, TwoLevelSolver, largest_eigenvalue
 from ngvisco.errors import InputWarning, ParameterError
 from ngvisco.geometries import box, disc
@@ -84,15 +85,25 @@ def test_vertices_and_edges_are_solved_together():
 
 @pytest.mark.parametrize(("shift", "sizes"), [(1e-2, [4]), (1e-7, [4, 8])], ids=["single", "double"])
 @pytest.mark.parametrize("unit", [1e-50, 1.0, 1e50])
-def test_factors_of_a_preconditioner_are_in_single_precision_where_that_does(shift, sizes, unit, monkeypatch):
+@pytest.mark.parametrize("largest", [0, 100], ids=["sparse", "band"])
+def test_factors_of_a_preconditioner_are_in_single_precision_where_that_does(
+    shift, sizes, unit, largest, monkeypatch
+):
     """Units may exceed single precision; next to a singular matrix factors are in double precision."""
-    count, made, factorise = 50, [], factorised.splu
+    count, made, factorise, of_band = 50, [], factorised.splu, Band.factorise
 
     def counted(matrix, **options):
         made.append(matrix.dtype.itemsize)
         return factorise(matrix, **options)
 
+    def counted_band(band, dtype):
+        assert largest
+        made.append(np.dtype(dtype).itemsize)
+        return of_band(band, dtype)
+
     monkeypatch.setattr(factorised, "splu", counted)
+    monkeypatch.setattr(Band, "factorise", counted_band)
+    monkeypatch.setattr(factorised, "LARGEST_BAND", largest)
     A = sp.diags([-1.0, 2.0, -1.0], [-1, 0, 1], (count, count)).tolil()
     A[0, 0] = A[-1, -1] = 1.0  # constants are in the kernel
     A = unit * (A + shift * sp.identity(count)).tocsr()
@@ -101,6 +112,17 @@ def test_factors_of_a_preconditioner_are_in_single_precision_where_that_does(shi
     right = np.random.default_rng(1).standard_normal(count)
     assert np.linalg.norm(A @ solver(right) - right) < 1e-3 * np.linalg.norm(right)
     assert made == sizes
+
+
+def test_a_band_solves_in_any_numbering_and_refuses_an_indefinite_matrix():
+    rng = np.random.default_rng(3)
+    count, order = 60, rng.permutation(60)
+    A = sp.diags([-1.0, 0.3, 3.0, 0.3, -1.0], [-7, -1, 0, 1, 7], (count, count)).tocsr()[order][:, order]
+    band, right = Band(A), rng.standard_normal(count)
+    assert band.entries <= 20 * count
+    assert band.factorise(np.float64)
+    assert np.allclose(A @ band.solve(right), right, rtol=0, atol=1e-13)
+    assert not Band(A - 3.0 * sp.identity(count)).factorise(np.float64)
 
 
 def test_multigrid_without_petsc_is_refused_by_name(monkeypatch):
