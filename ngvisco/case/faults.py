@@ -244,6 +244,11 @@ def _places() -> dict[str, tuple[str, str | None]]:
     return by_target | by_name
 
 
+_FORMS = ("str", "list[str]")
+"""Pydantic's names of the forms of a value that may be a text or an array of texts; tags in <> name other
+forms."""
+
+
 def _resolve(
     model: type[Section], location: tuple[Any, ...]
 ) -> tuple[tuple[str, ...], str, list[str], list[str]]:
@@ -255,7 +260,7 @@ def _resolve(
         chosen = [each_model for each_model in models if each_model.__name__ == part]
         if chosen not in ([], models) and part not in fields:
             models = chosen
-        elif not str(part).startswith("<"):  # a tag in <> names the form of a value and is no key
+        elif not str(part).startswith("<") and part not in _FORMS:  # the form of a value is no key
             here, keys = ".".join(path) or "the case", list(fields)
             if part in fields:
                 models = models_in(fields[part].annotation)

@@ -36,7 +36,7 @@ where c_K makes the cell's energy rise by tau int_K xi, to rounding.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from functools import reduce
 from operator import add
 from typing import Any, Protocol
@@ -122,7 +122,7 @@ class DamageGrowth:
         laws = {"": law} if law is not None else {}
         if isinstance(material, Mixture):
             laws |= {name: broken.law for name, broken in material.damages.items()}
-        self._check(list(laws.values()))
+        self._check(laws)
         mesh = step.mesh
         space: Any = H1(mesh, order=1)
         if step.layout.periodic:
@@ -156,12 +156,14 @@ class DamageGrowth:
             self.entries.append(Entry(_POWER, "power", Integrand()))
             self.entries.append(Entry(_PRODUCTION, "production", Integrand()))
 
-    def _check(self, laws: Sequence[Damaged]) -> None:
+    def _check(self, laws: Mapping[str, Damaged]) -> None:
         step = self.step
         ranks = Communicator.of(step.mesh)
         if ranks.size > 1:
             raise ParameterError(
-                "Model.material", laws[0], "a material without damage, or a run by one process"
+                "Model.material",
+                next(iter(laws.values())),
+                "a material without damage, or a run by one process",
             )
         if step.discretisation.m != 1:
             expected = "1 with damage, whose bounds hold at the vertices of cells"
@@ -175,13 +177,14 @@ class DamageGrowth:
         if regularisation is not None and regularisation.delta_fields:
             expected = "0 with damage, since delta_fields would diffuse the damage"
             raise ParameterError("Regularisation.delta_fields", regularisation.delta_fields, expected)
-        size, length = float(step.context.h.vec.FV().NumPy().min()), min(law.length for law in laws)
+        size = float(step.context.h.vec.FV().NumPy().min())
+        length, body = min((law.length, name) for name, law in laws.items())
         if length < size:
             message = Words(
                 Mention("Damaged.length"),
-                f" = {length:g} m is below the size of the smallest cell, {size:.3g} m: a crack is then "
-                "one row of cells wide, and takes more energy per area than G_c; take cells whose size is at "
-                "most half of the length",
+                f" = {length:g} m{f' of the body {body!r}' * bool(body)} is below the size of the smallest "
+                f"cell, {size:.3g} m: a crack is then one row of cells wide, and takes more energy per area "
+                "than G_c; take cells whose size is at most half of the length",
             )
             ranks.warn(message, InputWarning, stacklevel=6)
 

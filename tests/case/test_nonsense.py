@@ -143,6 +143,8 @@ ONE | + [output.vtk]; fields = ["None"] | unknown field 'None'
 ONE | + [walls."Slip(True)"]; kind = "Slip" | unknown boundary 'Slip(True)'
 ONE | + [[output.integrals]]; name = "a"; of = "G"
   | density, F_11 ... F_33, J, cauchy_stress_11 ... cauchy_stress_33, pressure
+ONE | maxh = 0.5 -> maxh = 0.5; periodic = true | domain.periodic: true: expected a text in quotes
+ONE | maxh = 0.5 -> maxh = 0.5; periodic = ["x", 3] | domain.periodic.1: 3: expected a text in quotes
 # what hung
 ONE | K_e = 10 -> K_e = "10 Pa**9**9**9" | material.K_e: '10 Pa**9**9**9': 'Pa**9**9**9' is no unit
 ONE | dt = 0.02 -> dt = "2 s*99999999999**9999999999" | time.dt: '2 s*99999999999**9999999999':

@@ -32,11 +32,12 @@ def at_rest(
     model=None,
     solver="split",
     dt=0.05,
+    periodic=(),
     **given,
 ):
     of = nv.Model(material=material, viscosity=VISCOUS, loads=loads) if model is None else model
     given = {"equilibrium": "hydrostatic"} | given
-    mesh, orders = structured_box(size, cells), discretisation or nv.Discretisation()
+    mesh, orders = structured_box(size, cells, periodic=periodic), discretisation or nv.Discretisation()
     initial = nv.Initial(**given)
     return nv.Simulation(mesh, of, dt=dt, initial=initial, solver=solver, discretisation=orders)
 
@@ -178,6 +179,11 @@ def test_what_is_no_equilibrium_is_refused(given, error, said):
 def test_a_density_that_varies_along_levels_is_warned_of():
     with pytest.warns(InputWarning, match="no pressure bears .* along levels"):
         at_rest(density=1 + x)
+
+
+def test_loads_around_a_periodic_domain_are_warned_of():
+    with pytest.warns(InputWarning, match="no pressure bears .* go around the periodic domain"):
+        at_rest(periodic="xy")
 
 
 # --- laws that read a pressure -----------------------------------------------------------------------

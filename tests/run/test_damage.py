@@ -254,3 +254,10 @@ def test_one_area_of_small_strains_is_no_choice():
 def test_a_length_below_the_cells_is_warned_of():
     with pytest.warns(nv.InputWarning, match="below the size of the smallest cell"):
         Simulation(box((1, 1), maxh=0.9), nv.Model(material=damaged(length=0.1)), dt=0.1)
+    law = damaged(material=nv.IsochoricNeoHookean(K_e=20.0, G_e=5.0), length=0.1)
+    parts = [
+        nv.Body(name="bar", where=0.5 - x, material=law, density=1.0),
+        nv.Body(name="rest", material=law.material, density=1.0),
+    ]
+    with pytest.warns(nv.InputWarning, match="length = 0.1 m of the body 'bar' is below the size"):
+        Simulation(box((1, 1), maxh=0.9), nv.Model(bodies=parts), dt=0.1)

@@ -255,9 +255,10 @@ class Column:
             float(Integrate(self._weighed(Norm(f)), self.mesh)) for f in (grad(self.p) - force, force)
         )
         if left > _UNBORNE * size:
+            around = "the loads go around the periodic domain, or " * bool(self.step.layout.periodic)
             message = (
-                f"equilibrium: no pressure bears {left / size:.0%} of the loads, since the density varies "
-                "along levels, or within cells: the body will move"
+                f"equilibrium: no pressure bears {left / size:.0%} of the loads, since {around}the density "
+                "varies along levels, or within cells: the body will move"
             )
             self.sampler.ranks.warn(message, InputWarning, stacklevel=4)
 
