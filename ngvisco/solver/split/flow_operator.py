@@ -20,6 +20,7 @@ import scipy.sparse as sp
 
 from ngvisco.algebra import precision
 from ngvisco.algebra.sparse import ElementAssembly, beside, stacked
+from ngvisco.forms.upwinding import beyond_trace
 from ngvisco.reduced.evaluation import CellTerms
 from ngvisco.reduced.residual import CellPart, Evaluation, ReducedResidual
 from ngvisco.reduced.restricted_form import RestrictedForm
@@ -110,6 +111,9 @@ class FlowSchurComplement:
             to_z[:, :, 0, 0] -= p.columns[:, :, d * d] / radius[:, None]
         right = np.matmul(to_z.reshape(count, n * d, 1 + d), shapes)
         to_fields = np.matmul(z_tests, right.reshape(cells, per, n * d * local))
+        to_fields = to_fields.reshape(cells, q * n, d, local)
+        through = self._through_sides(fine, at)
+        to_fields[..., : through.shape[3]] += through  # functions inside the cell come last
         self.to_fields[where] = to_fields.reshape(cells, q * n, d * local)
         # from z to rows of v: the elastic force of (1 - tau P K)^{-1} dz
         force = precision.single(p.force[:, : d * d]).reshape(count, d, d, n).swapaxes(1, 2)
@@ -132,6 +136,23 @@ class FlowSchurComplement:
             means /= op.weights.reshape(cells, per).sum(axis=1)[:, None, None, None]
             back = back + precision.single(np.matmul(rows[:, None], means))
         p.resolvent.astype(precision.SINGLE).after(precision.single(back), self.from_fields[where])
+
+    def _through_sides(self, part: CellPart, at: Evaluation) -> np.ndarray:
+        """From v on the cells' sides to rows of the fields, (cells, q n, dim, functions).
+
+        B_h and upwinding carry (|v . n| - v . n) (z - z_hat) into a cell, whether a field is a density or
+        not."""
+        sides, u, cells = part.sides.op, part.sides.fields(at.coefficients), part.cells
+        count, q, n, per = cells.stop - cells.start, self.functions, self.components, sides.z.per_cell
+        flow = (sides.normals * u.v.value).sum(axis=0)
+        inflow = sides.weights * sides.crossed * (np.sign(flow) - 1.0)
+        jumps = beyond_trace(u).value.reshape(n, count, per).swapaxes(0, 1)
+        tests = sides.z.blocks.swapaxes(1, 2)  # (cells, q, points)
+        tests = precision.single(tests[:, :, None] * jumps[:, None]).reshape(count, q * n, per)
+        along = (inflow * sides.normals).T.reshape(count, per, self.dim, 1) * sides.v.blocks[:, :, None]
+        functions = sides.v.local
+        result = np.matmul(tests, precision.single(along).reshape(count, per, self.dim * functions))
+        return result.reshape(count, q * n, self.dim, functions)
 
     def _mass(self, part: CellPart, at: Evaluation) -> np.ndarray:
         """The mass matrix of one component of v, (cells, local, local)."""
