@@ -198,7 +198,7 @@ def _directions(field: str, periodic: str | Sequence[str], dim: int) -> list[str
     """Names of directions, some of x, y, z; raises ParameterError for other names and for one given twice."""
     names = list(periodic) if isinstance(periodic, str) else require_names(field, periodic)
     if not set(names) <= set("xyz"[:dim]) or len(set(names)) < len(names):
-        raise ParameterError(field, periodic, f"some of {', '.join('xyz'[:dim])}, each once")
+        raise ParameterError(field, periodic, f"some of {', '.join('xyz'[:dim])}, and none twice")
     return names
 
 

@@ -74,14 +74,14 @@ def load(
     _check_file(path)
     kind = path.suffix.lower()
     if maxh is None and kind not in _MESHES:
-        raise ParameterError("load.maxh", maxh, "a cell size, since the file holds a geometry")
+        raise ParameterError("load.maxh", maxh, "a cell size, since the file has a geometry")
     try_apart(str(path), "read the file", f"path = sys.argv[1]\n{_MESHES.get(kind, _GEOMETRY)}", str(path))
     try:
         mesh = _read(path, kind, maxh)
     except (MeshError, ParameterError):
         raise
     except Exception as error:  # Netgen raises many types of errors
-        raise MeshError(f"{path}: not readable: {error}") from error
+        raise MeshError(f"{path}: the file is not readable: {error}") from error
     if mesh.dim not in (2, 3) or mesh.ne == 0:
         raise MeshError(f"{path}: the mesh has no volume elements")
     mesh = split_corner_cells(mesh) if split_corners else mesh
@@ -93,14 +93,14 @@ def _check_file(path: Path) -> None:
     if kind not in _ENDS:
         raise ParameterError("load.path", str(path), f"a name that ends in {', '.join(_ENDS)}")
     if not path.is_file():
-        raise MeshError(f"{path}: no such file")
+        raise MeshError(f"{path}: this file does not exist")
     text = path.read_text(encoding="utf-8", errors="replace")
     is_whole = _ENDS[kind] in text
     if kind == ".brep" and is_whole:  # Netgen crashes if announced shapes are missing
         head, *shapes = text[text.index("TShapes") :].split("*")
         is_whole = head.split()[1:2] == [str(len(shapes))] and len(text.rpartition("*")[2].split()) >= 2
     if not is_whole:
-        raise MeshError(f"{path}: the file is cut short (no end of {_ENDS[kind]!r} in it)")
+        raise MeshError(f"{path}: the file is cut short, since {_ENDS[kind]!r} is missing or incomplete")
 
 
 _MESHES = {

@@ -124,8 +124,8 @@ class Domain:
                 raise ParameterError(f"{owner}.{name}", value, expected)
             if name in round_ones and value < _SMALLEST_ROUND[dim]:
                 expected = (
-                    f"at least {_SMALLEST_ROUND[dim]:g} (curved walls are placed to 1e-7 only: take a "
-                    "smaller unit of length, and all other quantities in it)"
+                    f"at least {_SMALLEST_ROUND[dim]:g}, since curved walls are placed only to 1e-7; take a "
+                    "smaller unit of length, and give all other quantities in this unit"
                 )
                 raise ParameterError(f"{owner}.{name}", value, expected)
         self.unit = 1.0 if _ORDER_ONE[0] <= largest <= _ORDER_ONE[1] else 2.0 ** round(math.log2(largest))
@@ -194,7 +194,7 @@ def _check_count(field: str, value: float, measure: float, h: float, dim: int, n
         least = (factor / MAX_CELLS) ** (1 / n) * unit
         count = math.exp(min(math.log(factor) - n * math.log(h), 700))
         raise ParameterError(
-            field, value, f"at least {least:.2g}: the given size makes about {count:.0e} cells"
+            field, value, f"at least {least:.2g} m, since the given size makes about {count:.0e} cells"
         )
 
 

@@ -403,7 +403,7 @@ def require_file(field: str, value: object) -> Path:
     """The value as the path of a possible file; raises ParameterError for directories and other values."""
     path = require_path(field, value)
     if path.is_dir():
-        raise ParameterError(field, str(path), "the path of a file; this is a directory")
+        raise ParameterError(field, str(path), "the path of a file, but this path is a directory")
     return path
 
 
@@ -427,7 +427,7 @@ def require_some_names(field: str, value: object) -> list[str]:
     """Names in a sequence of distinct texts, at least one; raises ParameterError for other values."""
     names = require_names(field, value)
     if not names or len(set(names)) < len(names):
-        raise ParameterError(field, value, "at least one name, and each once")
+        raise ParameterError(field, value, "at least one name, and no name twice")
     return names
 
 

@@ -108,7 +108,7 @@ def number(text: str) -> float:
 def syntax_tree(text: str) -> ast.expr:
     """Syntax tree of a text; raises ExpressionError if its syntax or size is not allowed."""
     if len(text) > MAX_LENGTH:
-        raise ExpressionError(text, MAX_LENGTH, f"longer than {MAX_LENGTH} characters")
+        raise ExpressionError(text, MAX_LENGTH, f"the text is longer than {MAX_LENGTH} characters")
     if not text.isascii() or "\0" in text:
         where = next(i for i, c in enumerate(text) if not c.isascii() or c == "\0")
         raise ExpressionError(text, where, f"unexpected character {text[where]!r}")
@@ -267,7 +267,7 @@ class Evaluator:
     def _binary(self, node: ast.BinOp) -> Any:
         kind = type(node.op)
         if kind not in _BINARY:
-            raise self._error(node, "the operators are + - * / **")
+            raise self._error(node, "only the operators + - * / ** are allowed")
         a, b = self.value(node.left), self.value(node.right)
         if isinstance(a, float) and isinstance(b, float):
             return self._finite(node, _BINARY[kind], a, b)
@@ -276,13 +276,17 @@ class Evaluator:
                 node, "a scalar cannot be added to a tensor; multiply the scalar by the identity I"
             )
         if kind is ast.Div and is_tensor(b):
-            raise self._error(node, "a divisor cannot be a tensor (inv(A) is the inverse of A)")
+            raise self._error(
+                node, "a divisor cannot be a tensor; multiply by inv(A) in place of a division by A"
+            )
         if kind is ast.Div and isinstance(b, float) and b == 0.0:
             raise self._error(node, "division by zero")
         if kind is ast.Pow and (is_tensor(a) or is_tensor(b)):
-            raise self._error(node, "only scalars have powers (A*A is a product of tensors)")
+            raise self._error(node, "only scalars have powers; write the square of a tensor as A*A")
         if kind is ast.Pow and self.of_tensors and not isinstance(b, float):
-            raise self._error(node, "an exponent is a number or a parameter (a**b is exp(b*log(a)))")
+            raise self._error(
+                node, "an exponent has to be a number or a parameter; write any other a**b as exp(b*log(a))"
+            )
         return _BINARY[kind](a, b)
 
     def _call(self, node: ast.Call) -> Any:
@@ -290,7 +294,7 @@ class Evaluator:
             raise self._error(node, "only the listed functions can be called")
         name = node.func.id
         if node.keywords or any(isinstance(argument, ast.Starred) for argument in node.args):
-            raise self._error(node, f"{name} takes plain arguments only")
+            raise self._error(node, f"{name} takes only arguments in order, without names or *")
         functions = [*self.functions, "where"]
         if name not in functions:
             hint = nearest(name, functions)
@@ -311,7 +315,7 @@ class Evaluator:
     def _choice(self, node: ast.AST, test: ast.expr, yes: ast.expr, no: ast.expr) -> Any:
         condition, a, b = self._condition(test), self.value(yes), self.value(no)
         if is_tensor(a) != is_tensor(b):
-            raise self._error(node, "expected two scalars or two tensors")
+            raise self._error(node, "the two alternatives have to be two scalars or two tensors")
         if isinstance(condition, float):
             return a if condition > 0 else b
         return if_positive(condition, a, b)
@@ -327,7 +331,7 @@ class Evaluator:
                 raise self._error(part, "tensors cannot be compared")
         kinds = [type(kind) for kind in node.ops]
         if not _COMPARE.keys() >= set(kinds):
-            raise self._error(node, "the comparisons are < <= > >=")
+            raise self._error(node, "only the comparisons < <= > >= are allowed")
         return list(zip(kinds, values[:-1], values[1:], strict=True))
 
     def _condition(self, node: ast.expr) -> Any:

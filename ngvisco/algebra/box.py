@@ -54,7 +54,7 @@ def minimise_in_box(
         try:
             step[free] = splu(matrix.tocsc()).solve(-slope[free])
         except RuntimeError as error:
-            raise StepError(f"no minimum in a box: {error}") from error
+            raise StepError(f"no minimum was found: {error}") from error
         length = 1.0
         for _ in range(_HALVINGS):
             trial = np.clip(x + length * step, low, high)
@@ -65,8 +65,8 @@ def minimise_in_box(
                 break
             length /= 2
         else:
-            raise StepError("no minimum in a box: the function is not convex")
+            raise StepError("no minimum was found: the function is not convex")
         x, value, slope = trial, next_value, next_slope
         if is_last:
             return Minimum(x, slope)
-    raise StepError(f"no minimum in a box after {_MOST} steps")
+    raise StepError(f"no minimum was found after {_MOST} steps")

@@ -155,7 +155,7 @@ class Case:
         state, reason = self._open_state(material)
         by_F, by_B = material.with_elastic_state("F").variables, material.with_elastic_state("B").variables
         names = ", ".join(v.name for v in (by_B if state == "B" else by_F))
-        return names if by_F == by_B else f"{names}: elastic_state = {state!r}, the default, as {reason}"
+        return names if by_F == by_B else f"{names}, by the default elastic_state = {state!r}, since {reason}"
 
     def mesh(self) -> Mesh:
         """The mesh of the domain; raises CaseError."""
@@ -282,7 +282,7 @@ def _digest_of(file: Path) -> str:
     try:
         return hashlib.sha256(file.read_bytes()).hexdigest()
     except OSError as error:
-        raise CaseError(str(file), [Fault("", f"cannot be read: {error.strerror}")]) from error
+        raise CaseError(str(file), [Fault("", f"the file cannot be read: {error.strerror}")]) from error
 
 
 def _copy_of(file: Path) -> str:

@@ -75,7 +75,7 @@ class RunDirectory:
         """
         if self.path.exists() and not self.path.is_dir():
             raise RunDirectoryError(
-                f"{self.path}: this is a file; expected a directory (a missing one is created)"
+                f"{self.path}: this is a file; expected a directory (a missing directory is created)"
             )
         is_new = not self.path.exists()
         self.path.mkdir(parents=True, exist_ok=True)
@@ -122,8 +122,8 @@ class RunDirectory:
         if results := self.results:
             names = ", ".join(sorted(path.name for path in results)[:3])
             raise RunDirectoryError(
-                f"{self.path}: holds results of an earlier run ({names}, ...); resume that run, choose "
-                "another directory, or replace the results with --force"
+                f"{self.path}: this directory has results of an earlier run ({names}, ...); resume that "
+                "run, choose another directory, or replace the results with --force"
             )
 
     def read_versions(self) -> dict[str, Any]:
@@ -131,9 +131,9 @@ class RunDirectory:
         try:
             record = json.loads(self.versions_file.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
-            raise RunDirectoryError(f"{self.versions_file}: cannot be read ({error})") from error
+            raise RunDirectoryError(f"{self.versions_file}: the file cannot be read ({error})") from error
         if not isinstance(record, dict):
-            raise RunDirectoryError(f"{self.versions_file}: expected a JSON object")
+            raise RunDirectoryError(f"{self.versions_file}: expected a file with a JSON object")
         return record
 
     def write_versions(self, record: Mapping[str, Any]) -> None:
@@ -153,15 +153,17 @@ class RunDirectory:
         rows = len(table.read_text(encoding="utf-8").splitlines()) if table.exists() else 0
         if rows > 2 and not self.run_file.exists():  # the head, and the row of the start
             raise RunDirectoryError(
-                f"{self.run_file}: missing, though ledger.csv has {rows - 2} steps; put the file back, or "
-                f"compute the case from its start into another directory: ngvisco run {self.case_file} -o DIR"
+                f"{self.run_file}: this file is missing, although ledger.csv has {rows - 2} steps; put the "
+                "file back, or compute the case from its start into another directory: ngvisco run "
+                f"{self.case_file} -o DIR"
             )
 
     def case(self) -> Case:
         """The resolved case; raises RunDirectoryError or CaseError."""
         if not self.case_file.exists():
-            missing = "not a run directory (no case.toml)" if self.path.exists() else "no such directory"
-            raise RunDirectoryError(f"{self.path}: {missing}")
+            is_there = self.path.exists()
+            missing = "is not a run directory, since case.toml is missing" if is_there else "does not exist"
+            raise RunDirectoryError(f"{self.path}: this directory {missing}")
         return load_case(self.case_file)
 
     def mesh(self) -> Mesh:
@@ -170,7 +172,7 @@ class RunDirectory:
         digest = hashlib.sha256(self.mesh_file.read_bytes()).hexdigest()
         if digest != self.read_versions().get("mesh_sha256"):
             raise MeshError(
-                f"{self.mesh_file}: the file does not hold the mesh of this run (the hash differs)"
+                f"{self.mesh_file}: the file does not contain the mesh of this run, since its hash differs"
             )
         return mesh_in(self.mesh_file)
 
@@ -193,7 +195,8 @@ def _held(path: Path) -> Iterator[TextIO]:
                 file.seek(0)
                 holder = file.read().strip() or "another process"
                 raise RunDirectoryError(
-                    f"{path.parent}: {holder} uses this directory; wait for its end, or stop it"
+                    f"{path.parent}: {holder} uses this directory; wait until that process has ended, or "
+                    "stop the process"
                 )
             # a holder deletes its lock file before it unlocks it: the open file may be deleted already
             with contextlib.suppress(FileNotFoundError):

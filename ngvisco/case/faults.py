@@ -65,7 +65,7 @@ _WORDS = {
     "dict_type": "expected a table",
     "model_type": "expected a table",
     "model_attributes_type": "expected a table",
-    "too_short": "expected at least one; leave the key out for all",
+    "too_short": "expected at least one name; without this key, all names are taken",
     "literal_error": "expected {expected}",
 }
 """Messages that replace those of pydantic, by the type of its error."""
@@ -111,7 +111,7 @@ class Locator:
         above = (path[:length] for length in range(len(path), 0, -1))
         written = ((key[-1], given(self.data, key)) for key in above)
         if converted := next((key for key in written if key in self.converted), None):
-            words = f"{words} (in SI units; written was {shown(converted[1])})"
+            words = f"{words} (these numbers are in SI units; the case has {shown(converted[1])})"
         is_within = any(path[: len(o)] == o for o in self.overridden)
         is_made = path not in self.lines and any(o[: len(path)] == path for o in self.overridden)
         if path and (is_within or is_made):
@@ -199,7 +199,7 @@ def _message(fault: Any, raised: object, path: tuple[str, ...], here: str, keys:
     if kind == "union_tag_not_found":
         discriminator = context["discriminator"].strip("'")
         written = difflib.get_close_matches(discriminator, [str(key) for key in value], n=1, cutoff=0.5)
-        hint = f"; {written[0]!r} is unknown: did you mean {discriminator!r}?" if written else ""
+        hint = f"; the key {written[0]!r} is unknown: did you mean {discriminator!r}?" if written else ""
         return f"the key {discriminator!r} is missing{hint}"
     if kind == "list_type" and isinstance(value, dict):
         return f"{shown(value)}: expected an array of tables, [[{'.'.join(path)}]]"

@@ -49,8 +49,8 @@ _KINDS: tuple[Any, ...] = (*_TENSORS.values(), Jacobian, ReciprocalJacobian, Log
 _VARIABLES: dict[str, Variable] = {variable.name: variable for variable in (kind() for kind in _KINDS)}
 _DEFINED = re.compile(r"([A-Za-z_]\w*)=(?:J\*\*(\([^()]*\)|[+-]?[0-9.]+)\*)?(.+)")
 _VARIABLE = (
-    f"one of {', '.join(_VARIABLES)}, or NAME = J**(a)*X with a number a and X one of "
-    f"{', '.join(_TENSORS)}, as in 'H = J**(-5/6)*F', or NAME = amount"
+    f"one of {', '.join(_VARIABLES)}; or 'NAME = amount'; or 'NAME = J**(a)*X' where a is a number and X is "
+    f"{', '.join([*_TENSORS][:-1])} or {[*_TENSORS][-1]}, as in 'H = J**(-5/6)*F'"
 )
 
 
@@ -100,10 +100,15 @@ def parse_energy(
     symbols = {**stand_ins, **constants, **CONSTANTS, _IDENTITY: IDENTITY}
     evaluator, tree = Evaluator(text, symbols, of_tensors=True), syntax_tree(text)
     if is_tensor(evaluator.value(tree)):
-        message = f"{what} is a scalar, this is a tensor (tr, det, norm2, dot)"
+        message = (
+            f"{what} has to be a scalar, but this expression is a tensor; tr, det, norm2 and dot of tensors "
+            "are scalars"
+        )
         raise ExpressionError(text, tree.col_offset, message)
     if not evaluator.seen & stand_ins.keys():
-        raise ExpressionError(text, tree.col_offset, f"{what} reads at least one of {', '.join(stand_ins)}")
+        raise ExpressionError(
+            text, tree.col_offset, f"{what} has to read at least one of {', '.join(stand_ins)}"
+        )
     return EnergyExpression(text, constants, tree)
 
 
@@ -140,7 +145,7 @@ def custom_material(
     for name in {v.name for v in carried} & set(_RESERVED):
         raise ParameterError("Custom.variables", name, f"another name than {', '.join(_RESERVED)}")
     if not carried:
-        raise ParameterError("Custom.variables", variables, f"at least one variable, {_VARIABLE}")
+        raise ParameterError("Custom.variables", variables, f"at least one variable: {_VARIABLE}")
     expression = _energy("Custom", energy, carried, parameters)
     if per == "mass" and rho_R is None:
         raise ParameterError("Custom.rho_R", None, "the referential density, kg/m^3, for an energy per mass")
@@ -192,7 +197,7 @@ def _energy(
         if not abs(value) < float("inf"):
             raise ParameterError(f"{owner}.parameters.{name}", value, "a finite number")
         if not re.search(rf"\b{name}\b", text):
-            raise ParameterError(f"{owner}.parameters.{name}", value, "a parameter that the energy reads")
+            raise ParameterError(f"{owner}.parameters.{name}", value, "only parameters that the energy reads")
     try:
         return parse_energy(text, variables, parameters)
     except ExpressionError as error:

@@ -38,7 +38,7 @@ def python_material(
     try:
         content = Path(path).read_bytes()
     except OSError as error:
-        expected = f"a Python file, and {Path(path).name}: {error.strerror}"
+        expected = f"a Python file that can be read, but {Path(path).name} cannot: {error.strerror}"
         raise ParameterError(f"{KIND}.path", path, expected) from error
     module, arguments = _module(path, content), dict(parameters or {})
     target = getattr(module, law, None)
@@ -50,7 +50,7 @@ def python_material(
     try:
         inspect.signature(target).bind(**arguments)
     except TypeError as error:
-        expected = f"the parameters of {law}{inspect.signature(target)}: {error}"
+        expected = f"arguments that fit {law}{inspect.signature(target)}; {error}"
         raise ParameterError(f"{KIND}.parameters", arguments, expected) from error
     try:
         material = target(**arguments)
@@ -77,6 +77,8 @@ def _module(path: str, content: bytes) -> ModuleType:
     try:
         exec(compile(content, path, "exec"), module.__dict__)
     except Exception as error:  # a user's file may raise any error
-        expected = f"a Python file that can be executed: {type(error).__name__}: {error}"
+        expected = (
+            f"a Python file that runs without error, but this file raises {type(error).__name__}: {error}"
+        )
         raise ParameterError(f"{KIND}.path", path, expected) from error
     return module

@@ -22,12 +22,12 @@ def text_of(path: Path) -> str:
     """The text of a case file; raises CaseError."""
     locator = Locator({}, source=str(path))
     if path.exists() and not (path.is_file() or path.is_dir()):  # reading a pipe would wait
-        raise locator.error((), "cannot be read, since this is a pipe or a device, and no file")
+        raise locator.error((), "this is a pipe or a device; expected a file")
     try:
         with path.open("rb") as file:
             raw = file.read(MAX_FILE_SIZE + 1)
     except OSError as error:
-        raise locator.error((), f"cannot be read: {error.strerror}") from error
+        raise locator.error((), f"the file cannot be read: {error.strerror}") from error
     if len(raw) > MAX_FILE_SIZE:
         raise locator.error((), f"the file is longer than {MAX_FILE_SIZE} bytes")
     try:
@@ -73,9 +73,10 @@ def sections_of(text: str, source: str, directory: Path, settings: Sequence[str]
     if units and "velocity" not in converter.scales and (keys := plain_velocities(locator.data)):
         units_in = " and ".join(f"{name} in {locator.data['units'][name]}" for name in units)
         message = (
-            f"[units] has {units_in}, and plain velocities are in m/s: {', '.join(keys)}; units.velocity"
+            f"[units] has {units_in}, but velocities without a unit are in m/s; to change this, set "
+            f"units.velocity. There are such velocities in {', '.join(keys)}"
         )
-        warnings.warn(f"{message} changes their unit", InputWarning, stacklevel=3)
+        warnings.warn(message, InputWarning, stacklevel=3)
     return locator
 
 

@@ -37,7 +37,7 @@ from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.run.snapshot import read_ledger
 from ngvisco.run.transfer import resume_changed, transfer
 
-_CHANGEABLE = "title, time, loads, walls, numbers of material and rheology, solver, output but for passive"
+_CHANGEABLE = "title, time, loads, walls, numbers of material and rheology, solver, output except passive"
 """Keys that ``--set`` may change in a resumed run."""
 
 
@@ -161,7 +161,7 @@ def _go(
         state = load(origin["directory"], origin["step"]).simulation
         notes.append(_taken_over(state, origin, simulation))
     if (met := simulation.stepper.met(end)) != end:
-        notes.append(f"until {end:.10g} s: {met:.10g} s, the nearest end of a step")
+        notes.append(f"the run ends at {met:.10g} s, the end of a step nearest to {end:.10g} s")
         end = met
     for observer in observers:
         if isinstance(observer, Progress):
@@ -171,9 +171,11 @@ def _go(
     # an end time given to ``resume`` is an output time too
     simulation.observers += [*case.observers(place.path, end), log, *observers]
     if ranks.is_distributed:
-        notes.append(f"on {ranks.size} ranks, {ranks.size - 1} of them with cells")
+        notes.append(f"the run has {ranks.size} ranks, {ranks.size - 1} of them with cells")
     if simulation.number:
-        notes.append(f"from the checkpoint of step {simulation.number}, t = {simulation.t:g} s")
+        notes.append(
+            f"the run goes on from the checkpoint of step {simulation.number}, t = {simulation.t:g} s"
+        )
 
     def begin() -> None:
         for path in place.failures:  # reports of an earlier attempt
@@ -221,8 +223,9 @@ def _taken_over(old: Simulation, origin: dict[str, Any], simulation: Simulation)
     """Set a simulation to the state of another one, and return a line about it for the log."""
     done = transfer(old, simulation)
     return (
-        f"from step {origin['step']} of {origin['directory']}, t = {simulation.t:g} s: density times "
-        f"1 {done.scaled - 1:+.2e}, energy lost {done.lost:.6e} J of {done.energy_before:.6e} J"
+        f"the run starts from step {origin['step']} of {origin['directory']}, t = {simulation.t:g} s; the "
+        f"transfer scaled the density by 1 {done.scaled - 1:+.2e} and lost {done.lost:.6e} J of "
+        f"{done.energy_before:.6e} J"
     )
 
 
@@ -256,8 +259,8 @@ def changed(place: RunDirectory, case: Case, settings: Sequence[str]) -> Case:
     for key, value in before.items():
         if after[key] != value:
             message = (
-                f"cannot change when a run goes on (what can: {_CHANGEABLE}); start a new run with its "
-                f"fields: ngvisco run CASE -o NEW --from {place.path}"
+                f"this key cannot change when a run goes on (keys that can: {_CHANGEABLE}); start a new run "
+                f"from the fields of this run: ngvisco run CASE -o NEW --from {place.path}"
             )
             where = tuple(key.split("."))
             set_there = [path for path in new.locator.overridden if path[: len(where)] == where]
@@ -363,7 +366,9 @@ def load(directory: str | os.PathLike[str], step: int | None = None) -> Results:
     place = RunDirectory(directory)
     case = place.case()
     if not place.run_file.exists():
-        raise CheckpointError(f"{place.path}: no run.h5: the run ended before its first state was written")
+        raise CheckpointError(
+            f"{place.path}: run.h5 is missing, since the run ended before its first state was written"
+        )
     simulation = case.simulation(place.present_mesh())
     simulation.restore(place.run_file, step, attributes={"case": case.hash})
     return Results(case, read_ledger(place.run_file), simulation)

@@ -126,7 +126,9 @@ class Time(TimeSteps):  # type: ignore[misc]
             least = self.until / _MAX_STEPS
             steps = f"{self.until / longest:.0e} steps to time.until = {self.until:g} s"
             name = "Time.dt" if self.adaptive is None else "Time.adaptive.dt_max"
-            raise ParameterError(name, longest, f"at least {least:.2g}: the given length makes {steps}")
+            raise ParameterError(
+                name, longest, f"at least {least:.2g} s, since the given length makes {steps}"
+            )
         number = round(self.until / self.dt)
         if self.adaptive is None and not math.isclose(number * self.dt, self.until, rel_tol=1e-9):
             raise ParameterError("Time.until", self.until, f"a multiple of dt = {self.dt:g}")
@@ -305,9 +307,12 @@ class CaseSections(Section):
         if not self.bodies:
             return
         if self.material is not None:
-            expected = "no table [material] beside [[bodies]]: each body has a material of its own"
+            expected = "no table [material] if there are [[bodies]], since each body has its own material"
             raise ParameterError("material.kind", self.material.kind, expected)
         for name in ("viscosity", "creep"):
             if (part := getattr(self.rheology, name)) is not None:
-                expected = f"no such table beside [[bodies]]: each body has its own, [bodies.{name}]"
+                expected = (
+                    "no such table if there are [[bodies]], since each body has its own table "
+                    f"[bodies.{name}]"
+                )
                 raise ParameterError(f"rheology.{name}", part, expected)

@@ -89,7 +89,7 @@ def override(data: dict[str, Any], path: tuple[str, ...], value: Any) -> None:
                 raise ValueError(f"{where}: expected an index below {len(node)}")
             key = int(part)
         elif not isinstance(node, dict):
-            raise ValueError(f"{where}: {'.'.join(path[:depth])} is no table")
+            raise ValueError(f"{where}: {'.'.join(path[:depth])} is not a table")
         if depth == len(path) - 1:
             node[key] = value
         else:

@@ -67,9 +67,9 @@ def converted(number: float, unit: str, si_unit: str) -> float:
     try:
         value = units.Quantity(number, units.parse_units(unit)).to(units.parse_units(si_unit)).magnitude
     except pint.DimensionalityError as error:
-        raise UnitError(f"{unit!r} has not the dimension of {si_unit}") from error
+        raise UnitError(f"{unit!r} does not have the dimension of {si_unit}") from error
     except Exception as error:  # pint's parser raises many kinds of errors
-        raise UnitError(f"{unit!r} is no unit that is known") from error
+        raise UnitError(f"{unit!r} is not a known unit") from error
     return float(value)
 
 
@@ -84,7 +84,7 @@ def _require_small_powers(unit: str) -> None:
     are_plain = len(powers) == len(re.findall(r"\*\*|\^", unit)) and not _CHAIN.search(unit)
     if not are_plain or math.prod(max(abs(float(power)), 1.0) for power in powers) > _LARGEST_POWER:
         raise UnitError(
-            f"{unit!r:.60} is no unit: exponents have to be small numbers such as 2, -1, 0.5 or (1/2)"
+            f"{unit!r:.60} is not a unit: exponents have to be small numbers such as 2, -1, 0.5 or (1/2)"
         )
 
 
@@ -150,7 +150,7 @@ class Converter:
         except ValueError:
             in_si = self._value(text, unit, False)
         if isinstance(in_si, str):
-            raise UnitError(f"{text!r:.60} is no number, nor a number with its unit")
+            raise UnitError(f"{text!r:.60} is neither a number nor a number with a unit")
         return float(in_si)
 
     def _entry(self, value: Any, model: type[Section], name: str, data: dict[str, Any]) -> Any:

@@ -66,7 +66,9 @@ def _number(value: Any, alternative: str = "an expression in quotes") -> Any:
 def _scalar(value: Any) -> Any:
     if is_table(value):
         if table(value["times"], value["values"]).dim != 1:
-            raise ValueError("expected one column of values: column = 1, or another number, chooses one")
+            raise ValueError(
+                "expected one column of values; choose a column of the file by its number, as in column = 1"
+            )
         return value
     if not isinstance(value, str):
         return _number(value)
@@ -125,7 +127,8 @@ def _law(value: Any) -> Any:
 def _region(value: Any) -> Any:
     if "t" in parse_region(value).names:
         raise ValueError(
-            "expected a condition on the place (x, y, z) alone, since a body has its place at the start"
+            "expected a condition that reads only x, y and z, since this place is that of the body at the "
+            "start"
         )
     return value
 

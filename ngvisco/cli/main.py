@@ -183,14 +183,18 @@ def _threads(text: str) -> int:
     if value < 1:
         raise argparse.ArgumentTypeError(f"{text}: expected a whole number >= 1")
     if value > (most := max(os.cpu_count() or 1, _FEW_THREADS)):
-        raise argparse.ArgumentTypeError(f"{text}: expected at most {most}, for {os.cpu_count()} processors")
+        raise argparse.ArgumentTypeError(
+            f"{text}: expected at most {most}, since this machine has {os.cpu_count()} processors"
+        )
     return value
 
 
 def _directory(text: str) -> str:
     if not text or (os.path.exists(text) and not os.path.isdir(text)):
         what = "this is a file" if text else "the name is empty"
-        raise argparse.ArgumentTypeError(f"{text!r}: {what}; expected a directory (a missing one is created)")
+        raise argparse.ArgumentTypeError(
+            f"{text!r}: {what}; expected a directory (a missing directory is created)"
+        )
     return text
 
 
@@ -229,7 +233,9 @@ def _on_ranks(options: argparse.Namespace) -> int:
     if not ranks.is_first:
         streams.be_silent()
     if options.command not in _DISTRIBUTED and not getattr(options, "parallel", False):
-        code = _say(f"ngvisco {options.command}: expected one process, without mpirun", BAD_INPUT)
+        code = _say(
+            f"ngvisco {options.command} runs in one process; start the command without mpirun", BAD_INPUT
+        )
     else:
         try:
             code = _ended(options)
@@ -247,12 +253,16 @@ def _ended(options: argparse.Namespace) -> int:
         sys.stdout.flush()
         return code
     except KeyboardInterrupt:
-        return _say("interrupted before a step was finished; what was written is kept", INTERRUPTED)
+        return _say(
+            "the command was interrupted before a step was finished; written files are kept", INTERRUPTED
+        )
     except BrokenPipeError:  # no process reads the output any more
         streams.give_up(sys.stdout)
         return BAD_FILE
     except MemoryError:
-        return _say("not enough memory: take a coarser mesh (see ngvisco check)", FAILED)
+        return _say(
+            "there is not enough memory; take a coarser mesh (ngvisco check estimates the memory)", FAILED
+        )
     except OSError as error:
         streams.give_up(sys.stdout)  # unwritten output would fail again when Python ends
         where = f"{error.filename}: " if error.filename else ""

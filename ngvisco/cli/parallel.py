@@ -22,7 +22,7 @@ _STARTERS = ("mpirun", "mpiexec")
 def info(options: argparse.Namespace) -> int:
     """Print the installed packages, and test them on this command's ranks, or on three new ones."""
     if options.directory is not None:
-        raise ParameterError("DIR", options.directory, "none beside --parallel")
+        raise ParameterError("DIR", options.directory, "no directory together with --parallel")
     ranks, starter = Communicator.world(), _starter()
     complete, lines = _found()  # on all ranks: the first import of petsc4py is collective
     if complete and starter is not None and not ranks.is_distributed:
@@ -30,7 +30,7 @@ def info(options: argparse.Namespace) -> int:
     if ranks.is_first:
         streams.write("\n".join(lines) + "\n")
         if not (complete and ranks.is_distributed):
-            streams.write("not tried  something is missing, ngvisco/parallel/RANKS.md says what to install\n")
+            streams.write("not tried  a package is missing; ngvisco/parallel/RANKS.md says what to install\n")
     return _tried(ranks) if complete and ranks.is_distributed else FAILED
 
 
@@ -50,7 +50,7 @@ def _started(starter: str) -> int:
         return FAILED
     streams.write(result.stdout)
     if result.returncode:
-        streams.complain("it failed on the ranks\n" + result.stderr)
+        streams.complain("the test failed on the ranks\n" + result.stderr)
     return FAILED if result.returncode else DONE
 
 

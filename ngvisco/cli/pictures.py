@@ -29,7 +29,7 @@ def plot(options: argparse.Namespace) -> int:
     if options.movie is not None:
         if options.step is not None:
             raise ParameterError(
-                "--step", options.step, "no such option beside --movie, which draws all states"
+                "--step", options.step, "no such option together with --movie, which draws all states"
             )
         place = RunDirectory(run)
         path, title = Path(options.movie or out / "movie.gif"), place.case().sections.title
@@ -39,7 +39,7 @@ def plot(options: argparse.Namespace) -> int:
         return 0
     if options.fps is not None:
         raise ParameterError(
-            "--fps", options.fps, "the option --movie beside --fps, since a picture has no frames"
+            "--fps", options.fps, "--fps only together with --movie, since a picture has no frames"
         )
     results, chosen, lines = _load(run, options)
     require_space(section, results.mesh.dim)  # raise before anything is drawn
@@ -62,7 +62,7 @@ def _runs(options: argparse.Namespace) -> dict[str, Path]:
         names = [outcome.name for outcome in read_table(places[0] / "sweep.csv")]
         done = {name: places[0] / name for name in names if (places[0] / name / "run.h5").exists()}
         if not done:
-            raise ParameterError("DIR", str(places[0]), "a study with runs that made a step")
+            raise ParameterError("DIR", str(places[0]), "a sweep in which at least one run has made a step")
         return done
     return {str(place): place for place in places}
 
@@ -71,7 +71,7 @@ def _compare(options: argparse.Namespace, runs: dict[str, Path]) -> int:
     for name in ("movie", "fps", "section", "step"):
         if (value := getattr(options, name)) is not None:
             raise ParameterError(
-                f"--{name}", value, "no such option for several runs, which are compared over time"
+                f"--{name}", value, "no such option for several runs, since these are compared over time"
             )
     study = len(options.directory) == 1
     out = Path(options.output or (options.directory[0] if study else "."))

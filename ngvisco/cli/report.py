@@ -50,8 +50,8 @@ def check(options: argparse.Namespace) -> int:
     if adapt is not None:
         most = first.ne * 2 ** (mesh.dim * adapt.levels)
         print(
-            f"adapt      by {adapt.field}, anew every {adapt.every:g} s: from {first.ne} cells to about "
-            f"{most}; all sizes and times here are those of the start"
+            f"adapt      every {adapt.every:g} s, by {adapt.field}; the mesh has from {first.ne} to about "
+            f"{most} cells. All sizes and times below are for the mesh of the start"
         )
     if case.carried:
         print(f"carried    {case.carried}")
@@ -63,8 +63,8 @@ def check(options: argparse.Namespace) -> int:
         least = max(1, math.ceil(case.until / adaptive.dt_max))
         steps = min(steps, least)
         print(
-            f"time       adaptive steps to t = {case.until:g} s, the first {run.dt:g} s long; at least "
-            f"{least}, if all have dt_max = {adaptive.dt_max:g} s"
+            f"time       adaptive steps to t = {case.until:g} s, the first {run.dt:g} s long; the least "
+            f"number of steps is {least}, if all have the length dt_max = {adaptive.dt_max:g} s"
         )
     sys.stdout.flush()  # show these lines now: a hard step takes minutes
     before = options.imports + clock.perf_counter() - began
@@ -84,14 +84,14 @@ def check(options: argparse.Namespace) -> int:
             estimate += f", and {cost:.2g} s for each file of fields"
     if adaptive is not None:
         estimate += f", if all steps had the length dt_max; the present length is {run.stepper.dt:.3g} s"
-    print(f"estimate   {estimate} (by its first {count})")
+    print(f"estimate   {estimate} (from {count} measured step{'s' * (count > 1)})")
     return 0
 
 
 def _say_scales(sizes: Scales) -> None:
     """Print scales, dimensionless numbers and advice after the steps taken so far."""
     fast, slow = sizes.speeds
-    speed = f"v {sizes.velocity:.3g} m/s so far" if sizes.velocity > 0 else "v unknown until it moves"
+    speed = f"v {sizes.velocity:.3g} m/s so far" if sizes.velocity > 0 else "v unknown until the body moves"
     edges = f"L {sizes.length:.3g} m"
     if sizes.extent > sizes.length * (1 + 1e-6):
         edges = f"domain {sizes.length:.3g} to {sizes.extent:.3g} m"
@@ -100,8 +100,8 @@ def _say_scales(sizes: Scales) -> None:
     if sizes.is_slow:
         name, most = ("dt_max", sizes.longest) if sizes.longest > sizes.dt else ("dt", sizes.dt)
         print(
-            f"           waves cross the domain in {sizes.passage:.2g} s, "
-            f"{name} is {most / sizes.passage:.1g} times that: inertia has no part in the motion"
+            f"           waves cross the domain in {sizes.passage:.2g} s, and {name} is "
+            f"{most / sizes.passage:.1g} times as long, so that inertia has no effect on the motion"
         )
     for name, value in sizes.numbers.items():
         if not (sizes.is_slow and ("waves" in name or name.startswith("Reynolds"))):

@@ -56,8 +56,8 @@ def gradient(options: argparse.Namespace) -> int:
     shutil.rmtree(out / RESTART)
     streams.write(f"{result}\nAll numbers are in SI units.\n")
     if result.limited:
-        limited = f"the limiter changed {result.limited} cells in all"
-        streams.write(f"{limited}; derivatives treat its changes as constant\n")
+        limited = f"the limiter changed the state of a cell {result.limited} times"
+        streams.write(f"{limited}; the derivatives treat these changes as constant\n")
     streams.write(f"{out / 'gradient.csv'}\n")
     return code
 
@@ -136,14 +136,14 @@ def _require_keys(names: list[str], case: Case, simulation: Simulation) -> None:
                 raise ParameterError("by", name, f"the key of a number in {listed(keys)}", hint) from None
             if given(case.sections, tuple(name.split("."))) is None:
                 raise
-            instead = f"; in place of {error.name!r} the run has {listed(error.known)}" if error.known else ""
+            instead = f"; the run has no {error.name!r}, but has {listed(error.known)}" if error.known else ""
             raise ParameterError("by", name, f"a number that the run keeps{instead}") from None
 
 
 def _directory(options: argparse.Namespace, name: str, kind: str) -> Path:
     out = Path(options.output or Path("results") / f"{Path(options.case).stem}-{kind}")
     if (out / name).exists() and not options.force:
-        raise ParameterError("-o", str(out), f"a directory without {name}, or --force")
+        raise ParameterError("-o", str(out), f"a directory without {name}, or the option --force")
     if options.force:
         shutil.rmtree(out / RESTART, ignore_errors=True)
     return out
@@ -158,7 +158,7 @@ def _sigma(text: str | None) -> float | dict[str, float] | None:
     for part in text.split(","):
         name, equals, value = part.rpartition("=")
         if not equals or (number := _number(value)) is None:
-            raise ParameterError("--sigma", text, "a number, or COLUMN=NUMBER, separated by commas")
+            raise ParameterError("--sigma", text, "a number, or items COLUMN=NUMBER separated by commas")
         deviations[name.strip()] = number
     return deviations
 
@@ -176,7 +176,7 @@ def _best_run(options: argparse.Namespace, case: Case, result: Fit) -> str:
     try:
         cases.load_case(options.case, settings)
     except cases.CaseError as error:
-        return f"The case has no keys for these values: {error}"
+        return f"The case cannot take these values: {error}"
     words = ["ngvisco", "run", options.case, *(word for text in settings for word in ("--set", text))]
     return f"The case with these values:\n{shlex.join(map(str, words))}"
 

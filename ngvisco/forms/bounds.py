@@ -92,12 +92,12 @@ class Violation:
         if self.wall is None:
             return where
         near = f"{self.distance:.2g} m from" if self.distance else "on"
-        return f"{where}, {near} {self.wall!r}"
+        return f"{where}, {near} the boundary {self.wall!r}"
 
     def __str__(self) -> str:
-        least = "minimum of the cells' means" if self.is_mean else "minimum"
-        elsewhere = f" and {self.cells - 1} other cells" if self.cells > 1 else ""
-        return f"{self.quantity} is not positive ({least} {self.value:.3e} {self.where}{elsewhere})"
+        least = "least mean of a cell" if self.is_mean else "least value"
+        further = f"; {self.cells - 1} other cells are out of bounds too" if self.cells > 1 else ""
+        return f"{self.quantity} is not positive (the {least} is {self.value:.3e}, {self.where}{further})"
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ class Bounds:
         self._share = GridFunction(L2(step.mesh, order=0))  # s of rho in the last limited state
         self.sharpening = Sharpening(step) if step.layout.discretisation.sharp else None
         if self.sharpening is not None and not limits:
-            expected = (False, " where time.limiter is off, since the limiter sharpens interfaces")
+            expected = (False, " if time.limiter is off, since the limiter sharpens interfaces")
             raise ParameterError("Discretisation.sharp", True, *expected)
         self.refused: tuple[Violation, np.ndarray] | None = None
         """Violation and coefficients of the last solution with a ``defect``."""
@@ -214,7 +214,7 @@ class Bounds:
             return str(violation)
         theta = temperature(self.step.model.material, self.step.now.zeta_tensors)
         if theta is not None and not (least := self.sampler.extrema(theta)[0]) > 0:
-            return f"the temperature is not positive: {least:.4g} K somewhere"
+            return f"the temperature is not positive (the least value is {least:.4g} K)"
         return self.lack() or self.drift() if is_solved else None
 
     def refusal(self) -> str | None:
@@ -222,7 +222,7 @@ class Bounds:
         if (defect := self.defect()) is None:
             return None
         better = remedy(self.step.model.material) if defect == self.parted else SMALLER
-        return f"{defect}: take {better}"
+        return f"{defect}; take {better}"
 
     def lack(self) -> str | None:
         """Message where the present state, or its stored energy, is not a number; None if all are numbers.
@@ -231,11 +231,11 @@ class Bounds:
         """
         where = self.step.without_energy()
         if self._ranks.any(len(where) > 0):
-            return f"the stored energy is no number {self.sampler.place_of_cells(where)}"
+            return f"the stored energy is not a number {self.sampler.place_of_cells(where)}"
         state, ranges = self.step.state.vec.FV().NumPy(), self.step.layout.ranges
         bad = [name for name, block in ranges.items() if not np.isfinite(state[block]).all()]
         bad = [name for names in self._ranks.gathered(bad) for name in names]
-        return f"the unknown {bad[0]!r} of the state is no number somewhere" if bad else None
+        return f"the unknown {bad[0]!r} of the state is not a number somewhere" if bad else None
 
     def drift(self) -> str | None:
         """Message that variables of one distortion differ by more than ``most`` in the mean of a cell. None
@@ -250,8 +250,8 @@ class Bounds:
                 worst = self._ranks.most(means)
                 where = self.sampler.place_of_cells(far[np.argsort(-means[far], kind="stable")])
                 self.parted = (
-                    f"{pair} have parted by {worst:.0%} in the mean {where}. More than "
-                    f"{self.most:.0%} is refused, since the stress is wrong by this share"
+                    f"{pair} differ by {worst:.0%} in the mean {where}; more than {self.most:.0%} is "
+                    "refused, since the stress has the same relative error"
                 )
                 return self.parted
         return None
@@ -441,8 +441,8 @@ def _check_names(material: Material, z: Values) -> None:
     names = [variable.name for variable in material.variables]
     for name in material.positive(z):
         if name and name not in names:
-            owner = type(material).__name__
-            raise UnknownNameError(f"variable of {owner}.positive ('' for a bound of several)", name, names)
+            owner, known = type(material).__name__, [*names, "'' for a bound of several variables"]
+            raise UnknownNameError(f"variable of {owner}.positive", name, known)
 
 
 def _or_least(values: Any) -> Any:

@@ -166,11 +166,12 @@ class DamageGrowth:
                 "a material without damage, or a run by one process",
             )
         if step.discretisation.m != 1:
-            expected = "1 with damage, whose bounds hold at the vertices of cells"
+            expected = "1 with damage, since the bounds of damage are imposed at the vertices of cells"
             raise ParameterError("Discretisation.m", step.discretisation.m, expected)
         if not is_simplicial(step.mesh) or step.mesh.GetCurveOrder() > 1:
             expected = (
-                "a mesh of straight triangles or tetrahedra with damage, whose slope is linear on such cells"
+                "a mesh of straight triangles or tetrahedra, since damage needs a slope that is linear in "
+                "cells"
             )
             raise ParameterError("Simulation.mesh", step.mesh, expected)
         regularisation = step.model.regularisation
@@ -183,8 +184,8 @@ class DamageGrowth:
             message = Words(
                 Mention("Damaged.length"),
                 f" = {length:g} m{f' of the body {body!r}' * bool(body)} is below the size of the smallest "
-                f"cell, {size:.3g} m: a crack is then one row of cells wide, and takes more energy per area "
-                "than G_c; take cells whose size is at most half of the length",
+                f"cell, {size:.3g} m. A crack is then one row of cells wide, and takes more energy per area "
+                "than G_c. Take cells whose size is at most half of this length",
             )
             ranks.warn(message, InputWarning, stacklevel=6)
 
@@ -252,7 +253,9 @@ class DamageGrowth:
         try:
             minimum = minimise_in_box(H, f, (rising, falling), low, high)
         except StepError as error:
-            raise StepError(f"damage: {error}; the material's energy is negative somewhere") from error
+            raise StepError(
+                f"the new damage was not found ({error}); the energy of the material is negative somewhere"
+            ) from error
         delta, before = minimum.x, field.surface()
         self._add(field, delta)
         dissipated = np.where(delta < 0, falling, rising) * delta * delta

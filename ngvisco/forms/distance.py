@@ -42,7 +42,7 @@ def storing(terms: Sequence[Term]) -> list[Storing]:
         elif len(missing) < len(_METHODS):
             name = type(term).__name__
             expected = (
-                f"a term with {', '.join(_METHODS)}, or with none of them; the given term lacks "
+                f"a term that has all of the methods {', '.join(_METHODS)}, or none of them; this term lacks "
                 f"{', '.join(missing)}"
             )
             raise ParameterError("Simulation.terms", name, expected)
@@ -73,7 +73,7 @@ class BregmanDistance:
         self._distance = EntryIntegrals(step.quadrature, entries)
         moved = GivenParts(
             {**parts[0]},
-            "its slope reads the change of {name}, although a slope is taken at a fixed momentum",
+            "has a slope that reads the change of {name}, although a slope is taken at fixed momentum",
         )
         del moved["v"]
         d, slopes = Fields(layout, moved), []
@@ -107,7 +107,7 @@ def _by_columns(columns: Sequence[str], entries: Sequence[tuple[Storing, Entry]]
     integrands: dict[str, list[Integrand]] = {name: [] for name in columns}
     for term, entry in entries:
         if entry.name not in integrands:
-            expected = f"{' or '.join(map(repr, columns))} as the name of an entry"
+            expected = f"the name {' or '.join(map(repr, columns))}"
             raise ParameterError(f"{type(term).__name__}: entry", entry.name, expected)
         integrands[entry.name].append(entry.integrand)
     return {name: _sum(parts) for name, parts in integrands.items()}

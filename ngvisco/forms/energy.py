@@ -48,8 +48,8 @@ class StoredEnergy:
         """Note as ``last_failure`` that an iterate had no energy, with the bounds of the energy's domain."""
         bounds = " and ".join(f"{name} > 0" for name in self.material.domain(u.z_tensors))
         variables = ", ".join(variable.name for variable in self.material.variables)
-        domain = f"; the energy of {variables} has values for {bounds} alone" if bounds else ""
-        self.last_failure = f"the stored energy of an iterate was no number{domain}"
+        domain = f"; the energy of {variables} has values only where {bounds}" if bounds else ""
+        self.last_failure = f"the stored energy of an iterate was not a number{domain}"
 
     def density(self, u: UnknownValues) -> CoefficientFunction:
         """Energy phi(z), Pa, for integrals by the rule of the forms."""

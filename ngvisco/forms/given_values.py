@@ -51,7 +51,7 @@ def parameter_values(material: Material, given: Given, owner: str = "Initial") -
             if value is None:
                 expected = f"nv.Parameter({variable.name!r}, start=...), or a value in {owner}.values"
                 raise InitialDataError(
-                    f"parameter {variable.name}", "no start value", expected, f"{owner}.values"
+                    f"parameter {variable.name}", "no start value is given", expected, f"{owner}.values"
                 )
             values[variable.name] = as_shape(f"{owner}.values[{variable.name!r}]", value, ())
     return values
@@ -124,7 +124,7 @@ def temperature_for(
     elif (thermal := part_of(material, Thermal)) is not None:
         reference = thermal.theta_R
     else:
-        known = (": from a temperature the entropy follows only for ", call("Thermal", material=...))
+        known = (", since a temperature determines the entropy only for ", call("Thermal", material=...))
         raise ParameterError(f"{owner}.values", "no entropy", f"a value of {entropy.name!r}", *known)
     if temperature is None and reference is None:
         expected = "a temperature, since the reference temperatures theta_R differ from body to body"
@@ -231,18 +231,20 @@ def entering(wall: Passage, owner: str, model: Model, mesh: Mesh) -> Entering:
     if isinstance(material, Mixture):
         for name in given:
             if name.startswith(AMOUNT):
-                expected = f"{name.removeprefix(AMOUNT)!r} in {owner}.amounts"
+                expected = f"the amount of {name.removeprefix(AMOUNT)!r} in {owner}.amounts"
                 raise ParameterError(f"{owner}.values", name, expected)
         if wall.density is not None:
             raise ParameterError(
-                f"{owner}.density", wall.density, "none with bodies, since the density is sum rho_i n_i"
+                f"{owner}.density",
+                wall.density,
+                "no density with bodies, since the density is the sum of rho_i n_i",
             )
         if wall.amounts:
             amounts = _entering_amounts(wall, owner, [body.name for body in model.bodies])
             plastic = {K.name: CF(0.0) for K in material.plastic_contents.values()}
             given = material.filled(amounts, Id(3)) | plastic | given
     elif wall.amounts:
-        raise ParameterError(f"{owner}.amounts", dict(wall.amounts), "none in a model without bodies")
+        raise ParameterError(f"{owner}.amounts", dict(wall.amounts), "no amounts in a model without bodies")
     z = given_values(material, given, owner=owner)
     theta = None
     if wall.temperature is not None:
@@ -256,8 +258,8 @@ def entering(wall: Passage, owner: str, model: Model, mesh: Mesh) -> Entering:
     elif _VOLUMES & z.keys():
         if material.referential_density is None:
             expected = (
-                "the density of the incoming matter, kg/m^3, beside a volume among the values: the material "
-                "has no "
+                "the density of the incoming matter, kg/m^3, since the values contain a volume but the "
+                "material has no "
             )
             raise ParameterError(f"{owner}.density", None, expected + "referential density")
         starting = starting_values(material, given | z, Id(3), owner=owner)
@@ -269,7 +271,7 @@ def _entering_amounts(wall: Passage, owner: str, names: Sequence[str]) -> StartV
     """Amounts n_i of the inflowing bodies."""
     for name in wall.amounts:
         if name not in names:
-            raise UnknownNameError(f"{owner}.amounts", name, names, f"{owner}.amounts[{name!r}]")
+            raise UnknownNameError(f"body in {owner}.amounts", name, names, f"{owner}.amounts[{name!r}]")
     return {name: as_shape(f"{owner}.amounts[{name!r}]", wall.amounts.get(name, 0.0), ()) for name in names}
 
 

@@ -52,7 +52,7 @@ class WallReactions:
         walls = step.walls.conditions
         self.step, self._ranks = step, Communicator.of(step.mesh)
         if not walls:
-            expected = "a mesh that is not periodic in all directions"
+            expected = "at least one wall, but the mesh is periodic in all directions"
             raise ParameterError("WallForces.walls", "no walls", expected)
         self.names = list(walls) if names is None else list(names)
         for name in self.names:

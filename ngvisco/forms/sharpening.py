@@ -93,9 +93,9 @@ def check_sharp(step: Step) -> None:
         (step.layout.discretisation.m != 1, " unless m = 1"),
         (
             len(densities) > 1,
-            " for bodies of different densities: sharpening would move momentum",
+            " for bodies of different densities, since sharpening would change the momentum",
         ),
-        (not material.has_one_volume, " for different volumetric energies: energy would rise"),
+        (not material.has_one_volume, " for different volumetric energies, since energy would rise"),
         (
             not all(psi.is_linear for psi in material.energies.values()),
             " unless energies are linear in B",
@@ -166,8 +166,9 @@ class Sharpening:
             self._is_said = True
             longest = 0.9 * FAR / self.swept * self._tau
             message = (
-                f": the step carried an interface over {self.swept:.2g} of a cell's height, and steps over "
-                f"more than {FAR:g} displace it: take dt or dt_max <= {longest:.2g} s, or larger cells there"
+                f": the step moved an interface by {self.swept:.2g} heights of a cell. Steps of more than "
+                f"{FAR:g} heights displace the interface. Take dt or dt_max <= {longest:.2g} s, or larger "
+                "cells there"
             )
             words = Words(Mention(_FIELD), " = ", True, message)
             self._ranks.warn(words, InputWarning, stacklevel=5)

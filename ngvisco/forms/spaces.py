@@ -138,7 +138,7 @@ class Layout:
             for unknown in term.unknowns(setting):
                 if unknown.evolves and unknown.name in self.states.slices:
                     expected = (
-                        f"another name for the evolving unknown: the material has a variable {unknown.name!r}"
+                        f"another name for this unknown, since the material has a variable {unknown.name!r}"
                     )
                     raise ParameterError(f"{type(term).__name__}.unknowns", unknown.name, expected)
                 if unknown.name in self.unknowns:

@@ -161,10 +161,10 @@ class LocalUnknowns:
             self._of_energy()
 
 
-_NOT_EVOLVED = "the term reads the old value of {name}, whose declaration lacks evolves=True"
+_NOT_EVOLVED = "reads the old value of {name}, whose declaration lacks evolves=True"
 _NO_EQUATION = (
-    "the term has a row of {name}, which is no unknown (with bodies the density is the sum of their "
-    "densities)"
+    "has a row of {name}, which is not an unknown; with bodies the density is not an unknown, but "
+    "the sum of the bodies' densities"
 )
 
 

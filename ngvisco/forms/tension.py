@@ -48,7 +48,7 @@ class Tension:
         remedy = balanced if weighs else ""
         message = (
             f"at t = {t:.4g} s {_subject(self.laws)} a negative pressure, "
-            f"{least:.4g} Pa {place}: in tension the strength of matter is its cohesion alone{remedy}"
+            f"{least:.4g} Pa {place}. In tension the strength of matter is only its cohesion{remedy}"
         )
         ranks.warn(message, InputWarning, stacklevel=4)
 
@@ -68,10 +68,10 @@ def unborne_weight(step: Step, sampler: Sampler) -> str | None:
     if ranks.most(p) - ranks.least(p) > _BORNE * heaviest * size:
         return None
     return (
-        f"{_subject(laws)} the pressure, and the pressure at the start does not bear the weight, "
-        f"{heaviest * size:.3g} Pa over {size:.3g} m: the body sags until the pressure bears the weight, "
-        "and its upper part is in tension; "
-        'take [initial] equilibrium = "hydrostatic"'
+        f"{_subject(laws)} the pressure, but the pressure at the start does not balance the weight, "
+        f"{heaviest * size:.3g} Pa over {size:.3g} m. The body sags until the pressure balances the weight, "
+        "and the upper part of the body comes into tension. "
+        'Take [initial] equilibrium = "hydrostatic"'
     )
 
 

@@ -154,7 +154,11 @@ class PointTerm:
         members = vars(cls)
         for before, now in _RENAMED.items():
             if before in members:
-                raise ParameterError(f"{cls.__name__}.{before}", "a method of this name", f"the name {now}")
+                raise ParameterError(
+                    f"{cls.__name__}.{before}",
+                    "a method of this name",
+                    f"the name {now}, since this method was renamed",
+                )
         if not {*PLACES, "form"}.isdisjoint(members):
             cls.kernel, cls.group = members.get("kernel"), members.get("group")
         if "form" in members:
@@ -324,6 +328,10 @@ class Storing(Protocol):
     def distance(self, a: Fields, b: Fields) -> Entry: ...
 
 
+ANOTHER = "another term, since "
+"""Beginning of the message about a refused term; the reason follows as the last of the ``Words``."""
+
+
 class WithheldError(NgviscoError, LookupError):
     """A term reads a field that is withheld from it."""
 
@@ -346,8 +354,8 @@ def refused_by_name(term: object) -> Iterator[None]:
         yield
     except KeyError as error:
         name, missing = type(term).__name__, error.args[0] if error.args else ""
-        expected = f"{name}: it reads {missing!r}, which the material does not carry"
-        raise ParameterError("Simulation.terms", name, expected) from error
+        reason = f"the term {name} reads {missing!r}, which the material does not carry"
+        raise ParameterError("Simulation.terms", name, ANOTHER, reason) from error
     except WithheldError as error:
         name = type(term).__name__
-        raise ParameterError("Simulation.terms", name, f"{name}: {error}") from error
+        raise ParameterError("Simulation.terms", name, ANOTHER, f"the term {name} {error}") from error

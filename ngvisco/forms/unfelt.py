@@ -49,7 +49,7 @@ def require_held(model: Model, orders: Discretisation) -> None:
             expected = (
                 f"{k - 1}, or ",
                 call("Discretisation", k=m + 1, m=m),
-                f", or a viscosity of shear{whose}: with k = {k} "
+                f", or a shear viscosity{whose}, since with k = {k} "
                 f"and m = {m} no other stress resists motion within cells",
             )
             raise ParameterError("Discretisation.m", m, *expected)
@@ -75,7 +75,7 @@ class Unfelt:
             self.is_said = True
             message = (
                 f"{unfelt / kinetic:.0%} of the kinetic energy is motion within cells that no stress "
-                "resists: take discretisation.m = k - 1 (k = 1 for m = 0), or a viscosity of shear"
+                "resists; take discretisation.m = k - 1, or a shear viscosity"
             )
             self._ranks.warn(message, InputWarning, stacklevel=4)
         return unfelt

@@ -64,10 +64,14 @@ class Unknown:
 
     def __post_init__(self) -> None:
         if self.evolves and self.place not in _IN_CELLS and self.on is None:
-            expected = f"'cells' or 'continuous' for {self.name!r}, which evolves: it needs values in cells"
+            expected = (
+                f"'cells' or 'continuous' for {self.name!r}, since an evolving unknown needs values in cells"
+            )
             raise ParameterError("Unknown.place", self.place, expected)
         if not (as_number(self.scale) is not None and self.scale >= 0):
-            raise ParameterError("Unknown.scale", self.scale, f"a size of {self.name!r}, >= 0, in its unit")
+            raise ParameterError(
+                "Unknown.scale", self.scale, f"a number >= 0, a typical size of {self.name!r}"
+            )
 
     @property
     def shape(self) -> tuple[int, ...]:

@@ -152,8 +152,9 @@ class Communicator:
         size = MPI.COMM_WORLD.size
         if size < started:
             raise MPIError(
-                f"mpirun started {started} processes, but mpi4py knows {size}: it belongs to another MPI "
-                "than mpirun; expected both of one installation (ngvisco info --parallel)"
+                f"mpirun started {started} processes, but mpi4py knows {size}, since mpi4py and mpirun "
+                "belong to different installations of MPI; expected one installation (see ngvisco info "
+                "--parallel)"
             )
         return cls(MPI.COMM_WORLD if size > 1 else None)
 

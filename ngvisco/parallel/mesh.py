@@ -9,8 +9,8 @@ from ngvisco.errors import MeshError
 from ngvisco.parallel.communicator import Communicator
 
 CURVED = (
-    "curved cells are distributed with their geometry, and the geometry of these cells is unknown: "
-    "expected a mesh of a Netgen geometry, straight cells, or one process"
+    "curved cells are distributed with their geometry, but the geometry of these cells is unknown; "
+    "expected a mesh of a Netgen geometry, or straight cells, or one process"
 )
 _SHAPE = 1e-10
 """Allowed relative difference between the volume and surface of all parts and of the whole mesh."""
@@ -71,8 +71,8 @@ def distributed(mesh: Mesh | None, ranks: Communicator) -> Mesh:
     _curve(part, mesh, ranks)
     if ranks.any(not ranks.is_first and not part.ne):
         cells = int(ranks.total(part.ne))
-        message = f"METIS gives one of {ranks.size - 1} ranks none of the {cells} cells"
-        raise MeshError(f"{message}: expected fewer ranks, or a finer mesh")
+        message = f"one of {ranks.size - 1} ranks gets none of the {cells} cells from METIS"
+        raise MeshError(f"{message}; expected fewer ranks, or a finer mesh")
     part.ranks, part.cells = ranks, _numbers(part, ranks)
     return part
 
@@ -182,11 +182,11 @@ def _check(mesh: Mesh | None, parts: int) -> None:
     if mesh.dim == 3 and (images := _images_of_facets(mesh)) > 1:
         raise MeshError(
             f"the corners of a facet are identified with those of {images} other facets, because the mesh "
-            "is one cell wide along a periodic direction; Netgen does not distribute such a mesh: expected "
+            "is one cell wide along a periodic direction; Netgen does not distribute such a mesh; expected "
             "two or more cells along each periodic direction, or one process"
         )
     if mesh.ne < parts:
-        raise MeshError(f"the mesh has {mesh.ne} cells for {parts} ranks with cells: expected fewer ranks")
+        raise MeshError(f"the mesh has {mesh.ne} cells for {parts} ranks with cells; expected fewer ranks")
 
 
 def _images_of_facets(mesh: Mesh) -> int:

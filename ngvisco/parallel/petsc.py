@@ -33,7 +33,7 @@ ON_ONE_RANK_UP_TO = 5_000
 """Largest number of unknowns that one rank factorises alone; PETSc's option
 ``-ngvisco_on_one_rank_up_to`` overrides it."""
 
-MISSING = "petsc4py is missing or does not load: ngvisco/parallel/RANKS.md says what to install"
+MISSING = "petsc4py is missing or does not load; ngvisco/parallel/RANKS.md says what to install"
 
 _loaded: list[Any] = []
 """The loaded module ``petsc4py.PETSc``; empty before the first use."""
@@ -76,7 +76,11 @@ def obstacle(method: str) -> str | None:
         has = packages()
     except PETScError as error:
         return str(error)
-    return None if has.get(method, True) else f"this PETSc has no {method}: expected one built with it"
+    return (
+        None
+        if has.get(method, True)
+        else f"this PETSc was built without {method}; expected a PETSc with {method}"
+    )
 
 
 def require_petsc(communicator: Communicator) -> None:
@@ -203,7 +207,7 @@ class SumInverse:
             preconditioner.setType("lu")
             preconditioner.setFactorSolverType("mumps")
         elif not _may_be_definite(matrix):
-            return "it is not positive definite"
+            return "the matrix is not positive definite"
         else:
             preconditioner.setType(self.method)
             if self.kernel is not None:

@@ -84,7 +84,7 @@ class _Node:
         """The entry A_ij or v_i, a scalar at each point."""
         shape = self.shape
         if len(shape) != (len(index) if isinstance(index, tuple) else 1):
-            raise TypeError(f"no entry {index} of rank {self.rank}")
+            raise TypeError(f"a tensor of rank {self.rank} has no entry {index}")
 
         return self._mapped((), lambda a: a[index], lambda g: called(_placed, g, shape, index))
 
@@ -346,7 +346,9 @@ class Linear(_Node):
         if not isinstance(other, Linear):
             if isinstance(other, (int, float)) and other == 0:
                 return self
-            raise TypeError("what is added to a linear form has to be linear in the test functions too")
+            raise TypeError(
+                "a linear form can only be added to a form that is linear in the test functions too"
+            )
         if self.shape != other.shape:
             raise TypeError("sums of scalars, vectors and tensors are not defined")
         return Linear(self.shape, [(self, _same), (other, _same)])
@@ -386,7 +388,7 @@ class Linear(_Node):
 def factors_of_tests(form: Linear) -> dict[str, np.ndarray]:
     """The factors of the test functions in a scalar linear form, by the functions' names."""
     if form.shape:
-        raise TypeError("an integrand is a scalar")
+        raise TypeError("an integrand has to be a scalar")
     return {node.test: g for node, g in _backwards(form, _ONE) if node.test is not None}
 
 

@@ -298,15 +298,17 @@ class Body:
         require_fields(self, owner)
         is_place = isinstance(self.where, (CoefficientFunction, Region)) and not isinstance(self.where, type)
         if not (self.where is None or is_place):
-            expected = "a function of x, y, z that is > 0 inside, a shape, or None"
+            expected = "a function of x, y, z that is > 0 inside, or a shape, or None"
             raise ParameterError(f"{owner}.where", self.where, expected)
         if isinstance(self.where, CoefficientFunction) and (self.where.dim != 1 or self.where.is_complex):
             raise ParameterError(f"{owner}.where", self.where, "a real scalar function of x, y, z")
         density = as_number(self.material.referential_density if self.density is None else self.density)
         if density is None or density <= 0:
-            expected = "a number > 0, kg/m^3: a body has mass (of a material with rho_R that is the default)"
+            expected = (
+                "a number > 0, kg/m^3, since a body has mass (the default is the rho_R of the material)"
+            )
             raise ParameterError(f"{owner}.density", self.density, expected)
         object.__setattr__(self, "density", density)
         if self.where is None and self.order != 0:
-            expected = "0 without a place: the rest is below all others"
+            expected = "0 without a place, since the body then takes what all other bodies leave"
             raise ParameterError(f"{owner}.order", self.order, expected)

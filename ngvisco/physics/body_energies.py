@@ -188,6 +188,8 @@ class InEquilibrium:
         common = "pressure" if self.heat is None else "pressure and temperature"
         remedy = "a gas without p_infinity has no common pressure with matter in tension"
         if (n < 0).any():
-            remedy = "some amounts are negative, and fewer are with the orders k = 1 and m = 0"
+            remedy = (
+                "some amounts are negative; with the orders k = 1 and m = 0 fewer amounts become negative"
+            )
         points = f"{len(n)} points, e.g. for the amounts {', '.join(f'{amount:.3g}' for amount in n[0])}"
         return f"bodies have no common {common} at {points}; {remedy}"

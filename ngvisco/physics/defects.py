@@ -29,12 +29,12 @@ DRIFT = 0.1
 the stress."""
 
 
-def parted(material: Material, pair: str, rms: float, largest: float) -> str:
-    """The message of a run about a ``pair`` of variables with relative differences."""
+def parted(material: Material, pair: str, rms: float, largest: float, where: str) -> str:
+    """The message of a run about a ``pair`` of variables with relative differences, largest at ``where``."""
     return (
-        f"{pair} differ by {rms:.1%} in the mean square, {largest:.1%} at most. The variables no longer "
-        "belong to one distortion, and the stress is wrong by this share, although the ledger closes; the "
-        f"remedy is {remedy(material)}"
+        f"{pair} differ by {rms:.1%} in the mean square, and by {largest:.1%} {where}. The variables no "
+        "longer belong to one distortion, so that the stress has the same relative error, although the "
+        f"ledger closes. Take {remedy(material)}"
     )
 
 
@@ -113,9 +113,8 @@ def may_part(material: Material, moves: bool) -> str | None:
     if law is None or law.is_by_B or not moves:
         return None
     return (
-        "this material carries F and J independently, and det F drifts from J where walls move: the run "
-        "ends "
-        f'if det F and J differ by {DRIFT:.0%} in the mean of a cell. With elastic_state = "B" no run ends so'
+        "this material carries F and J independently, and det F drifts from J where walls move. The run ends "
+        f'if det F and J differ by {DRIFT:.0%} in the mean of a cell. Take elastic_state = "B" to avoid this'
     )
 
 

@@ -35,7 +35,7 @@ class WallExchange:
         require_fields(self)
         if (self.potential is None) != (self.coefficient is None):
             missing = "potential" if self.potential is None else "coefficient"
-            expected = "a value, since potential and coefficient are given together"
+            expected = "a value, since potential and coefficient have to be given together"
             raise ParameterError(f"WallExchange.{missing}", None, expected)
         if self.potential is None and self.flux is None:
             raise ParameterError("WallExchange.flux", None, "a flux, or a potential and a coefficient")

@@ -62,7 +62,7 @@ def check_energy(material: Material) -> None:
         return
     phi, slopes = _of_state(material, *_given(material), material.energy)
     if max(slopes) <= 1e-14 * max(np.abs(sampled(phi))):  # derivatives that cancel leave only rounding
-        expected = f"an energy that changes with {_names(material)}; the given one is a constant"
+        expected = f"an energy that changes with {_names(material)}, but the given energy is a constant"
         raise ParameterError(*_given(material), expected)
 
 
@@ -89,12 +89,12 @@ def check_bound(material: Material, field: str, function: Callable[..., Coeffici
     z_rest, states = rest_state(material, 3), sampling.changed(sampling.fitting())
     if not (value := float(at(z_rest[None])[0])) > 0:
         raise ParameterError(
-            field, function, f"a function that is positive at rest; its value there is {value:.4g}"
+            field, function, f"a function that is positive at rest, but the value at rest is {value:.4g}"
         )
     Q = np.linalg.qr(sampling._rng.standard_normal((3, 3)))[0]
     Q[:, 0] *= np.linalg.det(Q)
     if not np.allclose(at(_turned(material, 3, Q, states)), at(states), rtol=1e-8, equal_nan=True):
-        raise ParameterError(field, function, "a function that no rotation of the observer changes")
+        raise ParameterError(field, function, "a function that is the same for all observers")
     # states near rest too: every bound has admissible states there
     states = np.concatenate([states, *(z_rest + share * (states - z_rest) for share in (0.3, 0.1, 0.03))])
     inside = states[at(states) > 0]
@@ -105,7 +105,7 @@ def check_bound(material: Material, field: str, function: Callable[..., Coeffici
             point = _text(sampling.named(middle[outside[0]]), " = ")
             expected = (
                 "a function that is positive on a convex set of states, as a concave function is; the given "
-                f"one is not positive at {point}, half way between two states at which it is positive"
+                f"function is not positive at {point}, half way between two states at which it is positive"
             )
             raise ParameterError(field, function, expected)
 
@@ -121,7 +121,7 @@ def _of_state(
 
     Raises ParameterError unless the function is a real scalar of the variables' values alone.
     """
-    names = _names(material)
+    names, but = _names(material), "but the given function"
 
     def refusal(expected: str) -> ParameterError:
         return ParameterError(field, argument, expected)
@@ -133,7 +133,7 @@ def _of_state(
     except NgviscoError:
         raise
     except Exception as error:  # a user's function may raise any error
-        raise refusal(f"a function of {names}; it raises {type(error).__name__}: {error}") from error
+        raise refusal(f"a function of {names}, {but} raises {type(error).__name__}: {error}") from error
     if not isinstance(phi, CoefficientFunction):
         raise refusal(f"a function of {names} that returns a coefficient function, not {phi!r:.60}")
     if phi.dim != 1 or phi.is_complex:
@@ -144,9 +144,9 @@ def _of_state(
     if reads_time(phi):
         read.append("the time")
     if read:
-        raise refusal(f"a function of {names} alone; the given one reads {read[0]}")
+        raise refusal(f"a function of {names} alone, {but} reads {read[0]}")
     if not one_value(sampled(phi)):
-        raise refusal(f"a function of {names} alone; the given one differs from place to place at one state")
+        raise refusal(f"a function of {names} alone, {but} differs from place to place at one state")
     return phi, [abs(part) for value in z.values() for part in np.ravel(sampled(phi.Diff(value)))]
 
 
@@ -243,7 +243,7 @@ class ConvexityReport:
         at, along = _text(self.point, " = "), _text(self.direction, ": ")
         who = "a motion can reach this state" if self.reachable else "no motion reaches this state exactly"
         where = "the nearest state of the run's start" if self.from_run else "rest"
-        far = f"{who}, {self.distance:.2g} from {where} in the norm of all variables"
+        far = f"{who}, whose distance from {where} is {self.distance:.2g} in the norm of all variables"
         return f"not convex at {at} ({far}) in the direction {along}"
 
 
@@ -314,7 +314,7 @@ def check_convexity(
     )
     if warn:
         warnings.warn(
-            f"{type(material).__name__}: the stored energy is {report}; the scheme stays consistent, "
+            f"{type(material).__name__}: the stored energy is {report}. The scheme stays consistent, "
             "but the numerical dissipation (the ledger's bregman) may be negative at such states",
             ConvexityWarning,
             stacklevel=2,
@@ -440,7 +440,7 @@ def require_isotropy(material: Material) -> None:
     """Raise ParameterError, with a rotation that shows it, if a material's energy depends on the observer."""
     report = check_isotropy(material)
     if not report.passed:
-        expected = f"an energy that no rotation of the observer changes: the given one {report}"
+        expected = f"an energy that is the same for all observers, but the given energy {report}"
         raise ParameterError(*_given(material), expected)
 
 

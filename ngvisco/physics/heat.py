@@ -56,10 +56,10 @@ class WallHeat:
         require_fields(self)
         if (self.temperature is None) != (self.coefficient is None):
             missing = "temperature" if self.temperature is None else "coefficient"
-            expected = "a value, since temperature and coefficient are given together"
+            expected = "a value, since temperature and coefficient have to be given together"
             raise ParameterError(f"WallHeat.{missing}", None, expected)
         if self.temperature is None and self.flux is None and self.friction_share == 1:
-            expected = "a flux, a temperature and a coefficient, or a share of the friction"
+            expected = "a flux, or a temperature together with a coefficient, or a share of the friction"
             raise ParameterError("WallHeat.flux", None, expected)
 
 
@@ -98,7 +98,7 @@ class Heat:
             values = np.array([conductivity(np.float64(theta)) for theta in _TEMPERATURES])
             if not (np.isfinite(values).all() and (values >= 0).all()):
                 worst = float(np.nanmin(values)) if np.isfinite(values).any() else values[0]
-                raise ParameterError(owner, worst, "a function of the temperature, finite and >= 0")
+                raise ParameterError(owner, worst, "a function of the temperature with finite values >= 0")
         else:
             object.__setattr__(self, "conductivity", _matrix(owner, conductivity))
 
@@ -128,14 +128,14 @@ def _matrix(owner: str, value: object) -> tuple[tuple[float, ...], ...]:
         matrix = np.array(value, dtype=float)
     except (TypeError, ValueError):
         matrix = np.zeros(0)
-    expected = "a number >= 0, a function of the temperature, or a 3x3 matrix"
+    expected = "a number >= 0, or a function of the temperature, or a 3x3 matrix"
     if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
         raise ParameterError(owner, value, expected)
     size = abs(matrix).max()
     if abs(matrix - matrix.T).max() > 1e-12 * size:
-        raise ParameterError(owner, value, f"{expected}, symmetric")
+        raise ParameterError(owner, value, "a symmetric 3x3 matrix")
     if (least := np.linalg.eigvalsh(matrix)[0]) < -1e-12 * size:
-        expected = f"{expected}, positive semidefinite; it has an eigenvalue {least:.4g}"
+        expected = f"a positive semidefinite 3x3 matrix; this matrix has the eigenvalue {least:.4g}"
         raise ParameterError(owner, value, expected)
     return tuple(map(tuple, matrix.tolist()))
 

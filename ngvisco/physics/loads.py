@@ -93,7 +93,7 @@ class CentralGravity:
         require_effect(
             self,
             self.exponent != 0,
-            "with exponent = 0, since the force is then the same at every radius",
+            "with exponent = 0, where the force is the same at every radius",
             "radius",
         )
 
@@ -128,12 +128,12 @@ def as_vector(value: VectorLike, dim: int, field_name: str) -> CoefficientFuncti
         try:
             parts: tuple[Any, ...] = tuple(np.ravel(value) if is_matrix else value)
         except TypeError:
-            raise ParameterError(field_name, value, f"a vector of length {dim}") from None
+            raise ParameterError(field_name, value, f"a vector with {dim} components") from None
         if not all(isinstance(p, CoefficientFunction) or as_number(p) is not None for p in parts):
             raise ParameterError(field_name, value, "finite numbers or coefficient functions")
         vector = CF(tuple(p if isinstance(p, CoefficientFunction) else float(p) for p in parts) or 0.0)
     if vector.dim != dim:
-        raise ParameterError(field_name, value, f"a vector of length {dim}, not {vector.dim}")
+        raise ParameterError(field_name, value, f"a vector with {dim} components, not {vector.dim}")
     return vector
 
 

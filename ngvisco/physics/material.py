@@ -291,14 +291,14 @@ def check_material(material: Material) -> None:
         raise ParameterError(field, names, "distinct names")
     for variable in material.variables:
         for required in set(variable.requires).difference(names):
-            raise ParameterError(field, names, f"{required!r} too: the rate of {variable.name!r} reads it")
+            raise ParameterError(field, names, f"also {required!r}, read by the rate of {variable.name!r}")
     for distortion in material.distortions.values():
         tensors = (v for v in material.variables if v.name in distortion)
         frames = {v.frame: v.name for v in tensors if v.frame is not None}
         if len(frames) > 1:
             expected = (
-                f"tensors of one configuration: {frames['relaxed']!r} belongs to the relaxed configuration, "
-                f'{frames["actual"]!r} to the actual one (take elastic_state = "B")'
+                f"tensors of one configuration, but {frames['relaxed']!r} is of the relaxed configuration, "
+                f'{frames["actual"]!r} of the actual one; take elastic_state = "B"'
             )
             raise ParameterError(field, names, expected)
 

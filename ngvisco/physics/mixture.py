@@ -126,10 +126,10 @@ class Mixture(Material):
             psi.require()
             softest = min(self.stiffnesses.values())
             if body.parts and not (psi.tensors and 0 < softest < (1 - _SAME) * self.stiffnesses[body.name]):
-                expected = " for a fluid, and for a body beside which no other body is more compressible"
+                expected = " for a fluid, and for the most compressible body"
                 raise ParameterError(f"bodies[{body.name!r}].parts", True, False, expected)
             if psi.reads_parameters_in_volume and not self.has_one_volume:
-                expected = "a bulk modulus that is a number, or bodies with one volumetric energy"
+                expected = "a material whose bulk modulus is a number, or bodies with one volumetric energy"
                 raise ParameterError(f"bodies[{body.name!r}].material", body.material, expected)
             laws = {
                 "creep" if n is None else f"material.branches.{n}.creep": r for n, r in body.rules.items()
@@ -407,7 +407,7 @@ class Mixture(Material):
     def energy(self, z: Values) -> Tensor:
         if not self.has_one_volume:
             raise NgviscoError(
-                "the common energy of bodies with different volumetric energies is no expression: use "
+                "the common energy of bodies with different volumetric energies is not an expression; use "
                 "ngvisco.physics.pointwise.respond(material, dim)"
             )
         volumes = self.volumes(z, 1 / self.fractions.total(z))

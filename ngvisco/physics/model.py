@@ -136,7 +136,8 @@ class Model:
         if self.creep is not None and part_of(self.material, Network) is not None:
             raise ParameterError("Model.creep", self.creep, _NO_CREEP)
         if self.creep is not None and self.creep.reads_conjugate and self.material.conformation is None:
-            raise ParameterError("Model.creep", self.creep, "a material with a conformation tensor")
+            expected = "a rule that reads no conformation tensor, since the material has none"
+            raise ParameterError("Model.creep", self.creep, expected)
         material = self.material
         if self.bodies or _flows(self.creep, material):
             material = material.with_elastic_state("B")
@@ -162,7 +163,7 @@ class Model:
         for mechanism in self.mechanisms:
             if mechanism.rule.reads_conjugate and mechanism.conformation is None:
                 expected = (
-                    f"a rule that reads no conformation tensor: {type(self.material).__name__} has none"
+                    f"a rule that reads no conformation tensor, since {type(self.material).__name__} has none"
                 )
                 raise ParameterError(f"branches[{mechanism.branch!r}].creep", mechanism.rule, expected)
             check_rule(mechanism.rule, material)
@@ -260,7 +261,9 @@ class Model:
             raise ParameterError("Model.heat", self.heat, NO_TEMPERATURE)
         is_custom = part_of(material, Thermal) is None and not isinstance(material, Mixture)
         if entropy is not None and is_custom and not (slope := warming(material, entropy)) > 0:
-            expected = f"an energy convex in the entropy; at rest d theta/d s is {slope:.4g} K, not > 0"
+            expected = (
+                f"an energy that is convex in the entropy, but d theta/d s at rest is {slope:.4g} K, not > 0"
+            )
             raise ParameterError("Model.material", material, expected)
         if self.heat is not None and self.heat.numerical_heating and material.response(3) is not None:
             expected = (
@@ -271,7 +274,7 @@ class Model:
         if part_of(material, Damaged) is not None and not material.lagged:
             known = (call("Damaged", material=...), ", alone or within ", call("Thermal", material=...))
             raise ParameterError(
-                "Model.material", self.material, *known, "; other materials cannot wrap a damaged one"
+                "Model.material", self.material, *known, "; other materials cannot wrap a damaged material"
             )
 
     def _take_bodies(self) -> None:
@@ -283,7 +286,9 @@ class Model:
             value = getattr(self, name)
             # ``replace`` of a model with bodies passes the mixture's material and viscosity on
             if not (value is None or isinstance(value, (Mixture, MixedViscosity))):
-                raise ParameterError(f"Model.{name}", value, None, " with bodies, each of which has its own")
+                raise ParameterError(
+                    f"Model.{name}", value, None, f" with bodies, since each body has its own {name}"
+                )
         require_names_and_one_rest(self.bodies)
         names = [body.name for body in self.bodies]
         for name in names:
@@ -300,8 +305,8 @@ class Model:
                 ("delta_density", law.delta_density, 0.0),
             ):
                 if number != none:
-                    why = "their density is a sum, which is neither cut off nor diffused"
-                    raise ParameterError(f"Regularisation.{name}", number, none, f" with bodies: {why}")
+                    why = "the density of bodies is a sum, which is neither cut off nor diffused"
+                    raise ParameterError(f"Regularisation.{name}", number, none, f" with bodies, since {why}")
         for body in self.bodies:
             for part, fault in _faults(body, self.bodies):
                 raise ParameterError(f"bodies[{body.name!r}].{part}", attrgetter(part)(body), fault)
@@ -343,7 +348,10 @@ def _faults(body: Body, bodies: Sequence[Body]) -> Iterable[tuple[str, str]]:
             Words(thermal_law, ", since the entropy of a body does not follow from other energies"),
         )
     if len(units) > 1:
-        yield "material", f"one entropy_unit for all bodies, which share one entropy, not {sorted(units)}"
+        yield (
+            "material",
+            f"one entropy_unit for all bodies, since these share one entropy, and not {sorted(units)}",
+        )
     if heat is not None and not warm:
         yield "heat", NO_TEMPERATURE
     if heat is not None and heat.numerical_heating:
@@ -356,7 +364,7 @@ def _faults(body: Body, bodies: Sequence[Body]) -> Iterable[tuple[str, str]]:
         if rule.nu:
             yield key, "nu = 0, since the creep of several bodies has no gradient term"
         if rule.reads_conjugate or rule.has_trace:
-            yield key, "a flow rule that reads no conformation tensor, which no body has"
+            yield key, "a flow rule that reads no conformation tensor, since bodies have no such tensor"
 
 
 def _faults_of_damage(
@@ -367,14 +375,17 @@ def _faults_of_damage(
         around = call("Damaged", material=...)
         yield (
             "material",
-            Words(around, " itself, since a material around it does not give the damage of the body"),
+            Words(
+                around,
+                " itself, since a material that wraps another one does not give the damage of the body",
+            ),
         )
     if broken.area == "reference":
         yield "material.area", "'actual', since a body does not carry the distortion from its start"
     if broken.breaking is not None:
         yield "material.breaking", "None, since all branches of a body break together"
     if any(entropy_in(member.material) is not None for member in bodies):
-        yield "material", "a material without damage beside bodies with heat"
+        yield "material", "a material without damage, since some bodies have heat"
 
 
 def _require_bulk(material: Material) -> None:
@@ -383,7 +394,9 @@ def _require_bulk(material: Material) -> None:
     while (inner := getattr(part, "material", None)) is not None:
         part = inner
     if isinstance(K_e := getattr(part, "K_e", None), float) and K_e == 0:
-        expected = "> 0; 0 is admitted in a branch of a Network, whose other branches bear pressure"
+        expected = (
+            "a number > 0; only branches of a Network may have 0, if another branch carries the pressure"
+        )
         raise ParameterError(f"{type(part).__name__}.K_e", K_e, expected)
 
 

@@ -208,7 +208,7 @@ class Parameter(Variable, ParameterExpression):
         if not (self.start is None or number is not None or _is_scalar_function(self.start)):
             raise ParameterError("Parameter.start", self.start, "a finite number or a real scalar function")
         if number is None and self.start is not None and reads_time(self.start):
-            expected = "a function of the initial place alone; the given function reads the time"
+            expected = "a function of the initial place alone, but the given function reads the time"
             raise ParameterError("Parameter.start", self.start, expected)
         declared(Parameter)["mean"].taken("Parameter.mean", self.mean)
         positive = self.mean in ("geometric", "harmonic")
@@ -299,10 +299,12 @@ def _as_modulus(full: str, value: object, declaration: Declared) -> Modulus:
     if as_number(value) is not None:
         raise ParameterError(full, value, declaration.expected)
     if not _is_scalar_function(value):
-        expected = f"{declaration.expected}, a function of the initial place, an expression of parameters"
+        expected = (
+            f"{declaration.expected}, or a function of the initial place, or an expression of parameters"
+        )
         raise ParameterError(full, value, expected)
     if reads_time(value):
-        expected = "a function of the initial place, without the time, which only loads and walls may read"
+        expected = "a function of the initial place without the time; only loads and walls may read the time"
         raise ParameterError(full, value, expected)
     mean: Any = declaration.mean or ("geometric" if is_positive else "root")
     parameter = Parameter(full.rpartition(".")[2], start=value, typical=1.0, mean=mean)

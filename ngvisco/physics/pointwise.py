@@ -208,7 +208,8 @@ class ExpressionResponse:
                 f"{type(self.material).__name__}.{field}",
                 getattr(self.material, field),
                 "an energy written with the functions of ngvisco.physics.tensors, or one whose second "
-                f"derivative NGSolve computes; its relative error is {off.max() / size.max():.2g} here",
+                f"derivative NGSolve computes; the relative error of the second derivative is "
+                f"{off.max() / size.max():.2g}",
             )
 
 

@@ -293,6 +293,6 @@ class Recorded(np.lib.mixins.NDArrayOperatorsMixin):
         return self.program.note(function, arguments)
 
     def _refuse(self, *arguments: Any, **named: Any) -> Any:
-        raise TypeError("a program does not depend on values, and its arrays are not written into")
+        raise TypeError("a program cannot depend on values, and cannot write into its arrays")
 
     __array__ = __bool__ = __float__ = __int__ = __index__ = __iter__ = __setitem__ = _refuse

@@ -89,7 +89,9 @@ class Regularisation:
         """Raise ParameterError, with the diffusion's ``name``, for fields of order m = 0."""
         if m == 0:
             raise ParameterError(
-                f"Regularisation.{name}", getattr(self, name), "0 with m = 0, which has no gradients"
+                f"Regularisation.{name}",
+                getattr(self, name),
+                "0 with m = 0, since constants in cells have no gradient",
             )
 
     def penalty_weight(self, m: int) -> float:
@@ -188,8 +190,8 @@ def curvature_of(material: Material, dim: int) -> Curvature:
         raise ParameterError(
             "Regularisation.delta_fields",
             f"{type(material).__name__}, whose phi'' at rest has the least eigenvalue {least * scale:.3g} Pa",
-            "an energy with a positive definite phi'' in all variables in which it is not linear (one "
-            "material: take WithQuadratic; several bodies: take one volumetric energy)",
+            "an energy whose phi'' is positive definite in all variables in which the energy is not linear "
+            "(for one material take WithQuadratic; for several bodies take one volumetric energy)",
         )
     inverse = np.linalg.inv(at_rest + linear)
     projection, compliance = np.zeros((2, len(strains), len(strains)))

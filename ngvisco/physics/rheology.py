@@ -265,7 +265,9 @@ class LinearViscosity(Viscosity):
         if eigenvalues[0] < -_TOLERANCE * max(abs(eigenvalues[-1]), abs(eigenvalues[0])):
             entries = zip(modes[:, 0] / _WEIGHTS, PAIRS, strict=True)
             shown = ", ".join(f"e_{i + 1}{j + 1} = {e:.3g}" for e, (i, j) in entries)
-            expected = f"e : D e >= 0 for every strain rate e; the value is {eigenvalues[0]:.3g} for {shown}"
+            expected = (
+                f"e : D e >= 0 for every strain rate e, but the value is {eigenvalues[0]:.3g} for {shown}"
+            )
             raise ParameterError("LinearViscosity.D", self.D, expected)
         object.__setattr__(self, "D", _as_tuples(np.asarray(self.D, dtype=float)))
 
@@ -310,7 +312,7 @@ class LinearViscosity(Viscosity):
     def require_dimension(self, dim: int) -> None:
         out_of_plane = full_tensor(self.mandel)[:2, 2, :2, :2]
         if dim == 2 and np.abs(out_of_plane).max() > 0:
-            expected = "no stress D_13kl, D_23kl of plane strain rates on a mesh of two dimensions"
+            expected = "entries D_13kl = D_23kl = 0 for plane strain rates, since the mesh has two dimensions"
             raise ParameterError("LinearViscosity.D", self.D, expected)
 
 
@@ -337,7 +339,7 @@ def _require_equal(first: np.ndarray, second: np.ndarray, expected: str) -> None
     worst = np.unravel_index(int(np.argmax(difference)), first.shape)
     if difference[worst] > _TOLERANCE * np.abs(first).max():
         value = f"{float(first[worst])!r} at {''.join(str(int(i) + 1) for i in worst)}"
-        opposite = f"{expected}; the opposite entry is {float(second[worst])!r}"
+        opposite = f"{expected}, but the opposite entry is {float(second[worst])!r}"
         raise ParameterError("LinearViscosity.D", value, opposite)
 
 

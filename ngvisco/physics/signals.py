@@ -62,7 +62,7 @@ def step(at: float) -> CoefficientFunction:
     Raises ParameterError if ``at`` is not a finite number.
     """
     if (number := as_number(at)) is None:
-        raise ParameterError("step.at", at, "a finite number, s")
+        raise ParameterError("step.at", at, "a finite number, in s")
     return IfPos(number - time, 0.0, 1.0)
 
 
@@ -73,9 +73,9 @@ def pulse(begin: float, duration: float) -> CoefficientFunction:
     """
     start, length = as_number(begin), as_number(duration)
     if start is None:
-        raise ParameterError("pulse.begin", begin, "a finite number, s")
+        raise ParameterError("pulse.begin", begin, "a finite number, in s")
     if length is None or length <= 0:
-        raise ParameterError("pulse.duration", duration, "a number > 0, s")
+        raise ParameterError("pulse.duration", duration, "a number > 0, in s")
     return step(start) - step(start + length)
 
 

@@ -19,7 +19,7 @@ from ngvisco.errors import ParameterError
 from ngvisco.forms.context import AskedContext
 from ngvisco.forms.fields import Fields, Tests
 from ngvisco.forms.system import Step
-from ngvisco.forms.term import GivenParts, PointTerm, Term, refused_by_name
+from ngvisco.forms.term import ANOTHER, GivenParts, PointTerm, Term, refused_by_name
 from ngvisco.physics.arrays import Array
 from ngvisco.reduced.one_point import OnePoint, TermRows, why
 from ngvisco.reduced.point_fields import NotAtPointsError
@@ -39,11 +39,8 @@ class Couplings:
 
     def __init__(self, step: Step) -> None:
         if names := step.tabulated_rates.tensors.nonlinear_variables:
-            expected = (
-                f"the rate of {names[0]!r} is not linear in the variables; the split solver requires a "
-                "linear rate"
-            )
-            raise ParameterError("Variable.rate", names[0], expected)
+            reason = f"the rate of {names[0]!r} is not linear in the variables"
+            raise ParameterError("Variable.rate", names[0], "a linear rate, since ", reason)
         self.at_points: list[PointTerm] = []  # evaluated by arrays
         self.by_forms: list[Term] = []  # with rows of the flow, evaluated by forms
         self.of_kernel = defaultdict[str, list[Any]](list)  # by the name of the matrices that evaluate them
@@ -132,13 +129,14 @@ def term_obstacle(step: Step) -> str | None:
     try:
         Couplings(step)
     except ParameterError as error:
-        return str(error.expected)
+        return str(error.expected.parts[-1])
     return None
 
 
 def _refused(term: object, reason: str) -> ParameterError:
     name = type(term).__name__
-    return ParameterError("Simulation.terms", name, f"{name}: {reason}")
+    reason = f"the split solver cannot take the term {name} ({reason})"
+    return ParameterError("Simulation.terms", name, ANOTHER, reason)
 
 
 def _rows_at_points(step: Step, term: PointTerm) -> TermRows:
@@ -146,11 +144,13 @@ def _rows_at_points(step: Step, term: PointTerm) -> TermRows:
     try:
         rows = OnePoint(step).rows(term)
     except NotAtPointsError as error:
-        reason = f"{error}; if the term has rows of v alone, declare couples = 'flow', and its form is used"
+        reason = (
+            f"{error}; if the term has rows of v alone, declare couples = 'flow', so that its form is used"
+        )
         raise _refused(term, reason) from error
     names = in_cells(step.layout)
     if unknown := set(rows.names) - {*names, *(f"grad {name}" for name in names)}:
-        raise _refused(term, f"rows of {', '.join(sorted(unknown))} have no arrays: declare couples = 'flow'")
+        raise _refused(term, f"rows of {', '.join(sorted(unknown))} have no arrays; declare couples = 'flow'")
     return rows
 
 
@@ -176,7 +176,7 @@ def _require_flow_rows(step: Step, term: Term) -> set[str]:
     layout, names = step.layout, Unknowns(step).velocity_block
     trial, test = layout.space.TnT()
     tests = {name: part for name, part in zip(layout.names, test, strict=True) if name in names}
-    reason = "the term has a row of {name}, but the split solver takes forms with rows of v alone"
+    reason = "has a row of {name}, but the split solver takes forms with rows of v alone"
     context: Any = AskedContext(layout.context)
     u = Fields(layout, dict(zip(layout.names, trial, strict=True)), context)
     with refused_by_name(term):

@@ -31,13 +31,13 @@ class NotAtPointsError(NgviscoError, LookupError):
 class Lazy(dict[str, Any]):
     """A dictionary whose values are computed at first access, for the given names only."""
 
-    def __init__(self, make: Callable[[str], Any], names: Iterable[str], place: str) -> None:
+    def __init__(self, make: Callable[[str], Any], names: Iterable[str], place: str, kind: str = "") -> None:
         super().__init__()
-        self._make, self._names, self._place = make, frozenset(names), place
+        self._make, self._names, self._missing = make, frozenset(names), f"there is no {kind}{{}} {place}"
 
     def __missing__(self, name: str) -> Any:
         if name not in self._names:
-            raise NotAtPointsError(f"there is no {name} {self._place}")
+            raise NotAtPointsError(self._missing.format(name))
         self[name] = self._make(name)
         return self[name]
 
@@ -54,7 +54,7 @@ def lazy_fields(
 
     ``values`` and ``gradients`` are pairs: a function of a name, and the names that are allowed.  ``place``
     says in error messages where the points lie."""
-    parts, slopes = Lazy(*values, place), Lazy(*gradients, f"{place}, as a gradient")
+    parts, slopes = Lazy(*values, place), Lazy(*gradients, place, "gradient of ")
     return kind(layout, parts, context, slopes.__getitem__)
 
 

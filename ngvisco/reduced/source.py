@@ -23,12 +23,12 @@ class RightHandSide:
         space = FESpace([step.layout.blocks[name] for name in names])
         u = GivenParts(
             {},
-            "a source reads the unknown {name}; for the split solver a source depends on place and time "
-            "alone",
+            "a source reads the unknown {name}, but for the split solver a source may depend only on place "
+            "and time",
         )
         tests = dict(zip(names, space.TestFunction(), strict=True))
         w = GivenParts(
-            tests, "a source has a row of {name}, which is no iterated unknown of the split solver"
+            tests, "a source has a row of {name}, which is not an iterated unknown of the split solver"
         )
         self._form = LinearForm(space)
         integrands: list[Integrand] = step.sources.form(Fields(step.layout, u), Tests(step.layout, w))

@@ -34,10 +34,10 @@ def growth_message(step: Step, row: Mapping[str, float]) -> str:
     unit, symbol, size = ("m", "l", length) if step.mesh.dim == 2 else ("m^2", "l^2", length**2)
     return Words(
         f"in the step of {row['dt']:.3g} s to t = {row['time']:.4g} s the damage grew by {row[GROWTH]:.2g} "
-        f"at a point, and cracks by {row[CRACKED]:.3g} {unit}, {row[CRACKED] / size:.2g} {symbol}: the load "
-        "at which the body breaks depends on the step's length; take shorter steps as damage grows, which ",
+        f"at a point, and cracks by {row[CRACKED]:.3g} {unit} ({row[CRACKED] / size:.2g} {symbol}). The load "
+        "at which the body breaks then depends on the step's length. Take shorter steps while damage grows, "
+        "as with ",
         call("AdaptiveSteps", damage_growth=0.05),
-        " does",
     )
 
 

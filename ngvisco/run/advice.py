@@ -166,17 +166,17 @@ class Scales:
             does = "damps these waves" if self.scheme.order == 1 else "does not resolve these waves"
             lines.append(
                 f"{name} waves cross the domain in {self.passage:.2g} s, {self.passage / self.dt:.2g} "
-                f"steps: the scheme {self.scheme.name} {does}; to resolve the waves take "
+                f"steps, so that the scheme {self.scheme.name} {does}; to resolve these waves take "
                 f"dt <= {self.passage / _FOLLOWED:.2g} s"
             )
         hard = fast * self.dt / self.cell
         if self.scheme.A == midpoint().A and hard > _RINGING:
-            euler = "" if self.startup else "the first steps by backward Euler (time.startup = 2), "
+            euler = "" if self.startup else "the first steps by backward Euler (time.startup = 2), or "
             shorter = "" if self.is_slow else f", or dt <= {_RINGING * self.cell / fast:.2g} s"
             lines.append(
-                f"longitudinal waves cross {hard:.3g} cells a step, which {self.scheme.name} does not damp: "
-                f"the waves oscillate from step to step; take {euler}another scheme ('sdirk2' damps "
-                f"waves){shorter}"
+                f"longitudinal waves cross {hard:.3g} cells in a step. The scheme {self.scheme.name} does "
+                f"not damp such waves, so that they oscillate from step to step; take {euler}another scheme "
+                f"('sdirk2' damps waves){shorter}"
             )
         return lines
 
@@ -189,11 +189,11 @@ class Scales:
             spare = _SMALL / self.weight if self.weight > 0 else ratio / _STIFF
             if spare >= 2:
                 least = max(1 / spare, _STIFF / ratio)
-                less = f"{least:.1g} times the K_e is still stiff enough"
+                less = f"a K_e {least:.1g} times as large is still stiff enough"
                 remedies.append(less + (" for the weight" if self.weight > 0 else ""))
             lines.append(
-                f"the modulus of compression is {ratio:.2g} times that of shear: steps are hard to solve"
-                + "".join(f"; {remedy}" for remedy in remedies)
+                f"the longitudinal modulus is {ratio:.2g} times the shear modulus, so that steps are hard "
+                "to solve" + "".join(f"; {remedy}" for remedy in remedies)
             )
         if self.k == 2 and slow == 0 and self._is_incompressible:
             lines.append(
@@ -203,32 +203,34 @@ class Scales:
             )
         if self.k == 1 and slow > 0 and _LOCKS < (fast / slow) ** 2 <= _STIFF:
             lines.append(
-                f"the longitudinal modulus is {(fast / slow) ** 2:.2g} times that of shear: cells of order "
-                "one lock, and resist motions at constant volume, unless the cells are crossed rectangles "
-                "(structured_box in the plane, crossed = true); compare with k = 2"
+                f"the longitudinal modulus is {(fast / slow) ** 2:.2g} times the shear modulus. Cells of "
+                "order one then lock: they resist motions at constant volume, unless the cells are crossed "
+                "rectangles (structured_box in the plane, crossed = true). Compare with k = 2"
             )
         if self.weight > _SINKS:
             lines.append(
-                f"the weight is {self.weight:.2g} of the modulus of compression, and shortens a column by "
+                f"the weight is {self.weight:.2g} of the longitudinal modulus, and shortens a column by "
                 f"about {50 * self.weight:.2g} %; for matter that is hardly compressible take a larger K_e"
             )
         is_denser = self.densities > _DENSER * (1 + 1e-6)
         if is_denser:
             lines.append(
-                f"densities differ by the factor {self.densities:.2g}: cells that the interface passes "
-                "accelerate the lighter body strongly, and steps are hard to solve; take a ratio up to "
-                f"{_DENSER:g}, and a lighter body as viscous as the other"
+                f"densities differ by the factor {self.densities:.2g}. In cells that the interface passes "
+                "the lighter body is accelerated strongly, and steps are hard to solve. Take a factor up to "
+                f"{_DENSER:g}, and a lighter body that is as viscous as the heavier one"
             )
         if is_denser and not self.one_bulk_energy:
             lines.append(
-                "bodies of such densities have different bulk energies: steps take many iterations, or "
-                "parts; where it does not matter give all one, e.g. a medium beside ReferentialNeoHookean "
+                "bodies of so different densities have different bulk energies, so that steps need many "
+                "iterations, or are divided. If the bulk energies do not matter, give all bodies one, e.g. a "
+                "medium of ReferentialNeoHookean bodies "
                 'kind = "Custom" with energy = "K_e/2*(J - 1)*(J - 1)/J"'
             )
         if self.overstress > _ABOVE_YIELD:
             lines.append(
-                f"at the rate v/L the stress exceeds the yield stress by {self.overstress:.2g} of the yield "
-                f"stress; for a smaller excess take a G_m {self.overstress / _ABOVE_YIELD:.2g} times smaller"
+                f"at the rate v/L the stress exceeds the yield stress by {self.overstress:.2g} times the "
+                f"yield stress; for a smaller excess take a G_m {self.overstress / _ABOVE_YIELD:.2g} times "
+                "smaller"
             )
         return lines
 
@@ -236,16 +238,17 @@ class Scales:
         lines = []
         passed, most = self.velocity * self.dt / self.cell, FAR if self.is_sharp else 1.0
         if passed > most:
-            astray = "with discretisation.sharp = true such steps displace interfaces; "
+            astray = ". With discretisation.sharp = true such steps displace interfaces"
             lines.append(
-                f"matter moves by {passed:.2g} cells a step: {astray * self.is_sharp}"
-                f"{'steps are hard to solve and upwinding smears; ' * (passed > 1)}"
-                f"take dt <= {most * self.cell / self.velocity:.2g} s"
+                f"matter moves by {passed:.2g} cells in a step{astray * self.is_sharp}"
+                f"{'. Such steps are hard to solve, and upwinding smears jumps' * (passed > 1)}"
+                f". Take dt <= {most * self.cell / self.velocity:.2g} s"
             )
         if self.maxwell < _RELAXED * self.dt * (1 - 1e-6):  # moduli by finite differences have rounding
             lines.append(
-                f"stress relaxes in {self.maxwell:.2g} s, {self.maxwell / self.dt:.2g} steps: the steps "
-                f"do not resolve this relaxation; to resolve it take dt <= {self.maxwell / _RELAXED:.2g} s"
+                f"stress relaxes in {self.maxwell:.2g} s, {self.maxwell / self.dt:.2g} steps, so that the "
+                "steps do not resolve this relaxation; to resolve the relaxation take dt <= "
+                f"{self.maxwell / _RELAXED:.2g} s"
             )
         lines += filter(None, (self.parting, self.unborne))
         return lines
@@ -257,14 +260,16 @@ class Scales:
         )
         if self.cell * _ACROSS > self.length:
             across, enough = self.length / self.cell, self.length / _ACROSS
-            lines.append(f"{across:.1f} cells across the domain: take cells of {enough:.2g} m or less")
+            lines.append(
+                f"there are {across:.1f} cells across the domain; take cells of {enough:.2g} m or less"
+            )
         elif 0 < layer < self.cell:
             lines.append(
-                f"viscous layers are {layer:.2g} m thick, thinner than a cell: where they matter take maxh "
-                f"or refine <= {layer / 2:.2g} m"
+                f"viscous layers are {layer:.2g} m thick, thinner than a cell; if these layers matter, take "
+                f"maxh or refine <= {layer / 2:.2g} m"
             )
         lines += [
-            f"{cells:.1f} cells across the body {name!r} where it is thinnest: take cells "
+            f"there are {cells:.1f} cells across the body {name!r} at its thinnest part; take cells "
             f"{_ACROSS / cells:.2g} times smaller there"
             for name, cells in self.bodies.items()
             if 0 < cells < _ACROSS

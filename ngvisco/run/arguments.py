@@ -22,7 +22,10 @@ def check_arguments(observers: Any, walls: Any, passive: Any, sources: Any, term
     for term in require_collection("Simulation.terms", terms, "a sequence of Terms"):
         require_methods("terms", term, ("form", "entries"))
         if not point_terms([term]) and (names := [n for n in _OF_POINT_TERMS if hasattr(term, n)]):
-            expected = f"a class that derives from nv.PointTerm, as it has {' and '.join(names)}"
+            expected = (
+                "an object of a class that derives from nv.PointTerm, since the term has "
+                f"{' and '.join(names)}"
+            )
             raise ParameterError("Simulation.terms", term, expected)
 
 

@@ -190,7 +190,7 @@ class Bodies(Series):
         self.measures = require_some_names("Bodies.measures", measures) if len(measures) else []
         for name in self.measures:
             if name not in get_args(Measure):
-                raise ParameterError("Bodies.measures", name, f"some of {', '.join(get_args(Measure))}")
+                raise ParameterError("Bodies.measures", name, f"one of {', '.join(get_args(Measure))}")
         self._is_said: set[tuple[str, type[NgviscoWarning]]] = set()
 
     def prepare(self, simulation: Simulation) -> list[str]:
@@ -202,7 +202,7 @@ class Bodies(Series):
             raise ParameterError(
                 "Bodies.measures",
                 needs[0],
-                "no stress or traction in 3D, since they are integrals along an outline",
+                "no stress or traction in 3D, since these measures are integrals along an outline",
             )
         axes = "xyz"[:dim]
         units = {"mass": "kg", "volume": "m^d", **dict.fromkeys(axes, "m")}
@@ -220,7 +220,11 @@ class Bodies(Series):
         self._units = {f"{name}_{quantity}": unit for name in names for quantity, unit in units.items()}
         if "gap" in self.measures:
             if len(self._placed) < 2:
-                raise ParameterError("Bodies.measures", "gap", "at least two bodies with a place (where)")
+                raise ParameterError(
+                    "Bodies.measures",
+                    "gap",
+                    "no gap in a model with fewer than two bodies that have a place (where)",
+                )
             self.pairs = {f"gap_{one}_{other}": (one, other) for one, other in combinations(self._placed, 2)}
             self._units |= dict.fromkeys(self.pairs, "m")
         parts = (part for name in names for part in self.densities(name, step.now).values())
@@ -318,14 +322,15 @@ class Bodies(Series):
             if width > _WIDE:
                 message = (
                     f"the interface of the body {name!r} is {width:.2g} cells wide and widens further; take "
-                    "smaller cells, discretisation.m = 2, or an earlier end"
+                    "smaller cells, discretisation.m = 2, or an earlier end of the run"
                 )
                 self._warn(simulation, name, message, SmearedWarning)
             ends = np.zeros((0, 2, 5)) if self.fractions.dim != 2 else self.fractions.cut(name).ends
             if (cells := facing(ends, self.fractions.periods.images)) < np.inf:
                 message = (
-                    f"parts of the outline of the body {name!r} face each other at {cells:.2g} cells. "
-                    "Such parts push each other before they touch, and may stick; take smaller cells there"
+                    f"parts of the outline of the body {name!r} face each other at a distance of "
+                    f"{cells:.2g} cells. Such parts push each other before they touch, and may stick; take "
+                    "smaller cells there"
                 )
                 self._warn(simulation, name, message, SelfContactWarning)
 
@@ -339,7 +344,7 @@ class Bodies(Series):
 def require_bodies(owner: str, material: Any) -> tuple[Any, ...]:
     """The bodies of a model's material; raises ParameterError for a material without bodies."""
     if not isinstance(material, Mixture):
-        expected = (Mention("Model.bodies"), ", since the table is of bodies")
+        expected = ("a model with ", Mention("Model.bodies"), ", since the table is of bodies")
         raise ParameterError(f"{owner}.model", type(material).__name__, *expected)
     return material.bodies
 

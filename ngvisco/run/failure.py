@@ -87,15 +87,15 @@ class FailureReport:
     nearest: str | None = None
 
     def __str__(self) -> str:
-        near = "" if self.wall is None else f", nearest wall {self.wall!r}"
+        near = "" if self.wall is None else f", the nearest wall is {self.wall!r}"
         at = f"at ({', '.join(f'{c:.4g}' for c in self.place)}) m{near}"
         cell = "" if self.fastest is None else f"in cell {self.fastest} "
         first, *further_advice = self.advice
-        where = f"the flow is fastest {at}" if self.courant else "from rest"
+        where = f"the flow is fastest {at}" if self.courant else "the body was at rest"
         if self.nearest is not None:
             where = f"before the step {self.nearest}"
         failure = self.violation or self.parted or f"no solution was found; {where}"
-        fast = f"Courant number {self.courant:.3g} at most, {cell}{at}"
+        fast = f"the largest Courant number is {self.courant:.3g}, {cell}{at}"
         lines = [
             f"what       step {self.number} over {self.tau:.4g} s was not taken: {failure}",
             f"change     {first}",
@@ -118,7 +118,7 @@ def _described(history: Sequence[Attempt]) -> list[str]:
         text = f"{which}: {len(iterations(attempts))} iterations"
         if len(attempts) > 1:
             solved = sum(attempt.solution.converged for attempt in attempts)
-            text += f" in {len(attempts)} attempts, {solved} of them solved; the last one"
+            text += f" in {len(attempts)} attempts, {solved} of them solved; the last attempt"
         increments = ", ".join(f"{iteration.increment:.1e}" for iteration in last.history[-_SHOWN:])
         lines.append(text + f": {last.status.value}" + (f", increments {increments}" if increments else ""))
     return lines
@@ -157,8 +157,8 @@ def _held(model: Model, history: Sequence[Attempt]) -> list[str]:
     if not any(attempt.solution.status is Status.ROUNDING for attempt in history):
         return []
     lines = [
-        "springs, walls.NAME.stiffness, a larger density, or solver.tolerance = 1e-8: rounding moves a "
-        "stiff body that only inertia resists, and more so in shorter steps"
+        "springs (walls.NAME.stiffness), a larger density, or solver.tolerance = 1e-8, since rounding moves "
+        "a stiff body that only inertia resists, the farther the shorter the steps"
     ]
     if part_of(model.material, Thermal) is not None:
         lines.append(
@@ -187,29 +187,36 @@ def _advice(simulation: RunState, violation: Violation | None, courant: float, r
     """Advised changes, the likeliest first; ``rate`` is the largest |v|/h, 1/s."""
     model, lines = simulation.model, []
     if violation is not None and not violation.is_mean:
-        lines.append("time.limiter = true: the run then goes on where the cell's mean is positive")
-    shorter = "shorter steps, time.dt, or lengths that the run chooses, [time.adaptive]"
-    lines.append(shorter + (f"; the largest Courant number is {courant:.3g}" if courant > _FAST else ""))
+        lines.append("time.limiter = true, with which the run goes on if the means of all cells are positive")
+    shorter = "shorter steps (time.dt), or adaptive steps ([time.adaptive])"
+    lines.append(
+        shorter + (f", since the largest Courant number is {courant:.3g}" if courant > _FAST else "")
+    )
     if violation is None and simulation.bounds.parted is not None:
         return [remedy(model.material), *lines]
     domain = model.material.domain(simulation.rothe_step.now.z_tensors)
     if violation is None:
         if domain:
             bounds = " and ".join(f"{name} > 0" for name in domain)
-            lines.append(f"an energy with values beyond {bounds}, or less load")
+            lines.append(f"an energy that has values also outside of {bounds}, or smaller loads")
         elif (met := simulation.rothe_step.energy.last_failure) is not None:
-            lines.insert(0, f"the material, or less load: {met}")
+            lines.insert(0, f"the material, or smaller loads, since {met}")
         creep = model.creep
         is_sharp = creep is not None and not isinstance(creep, Creep) and creep.nu != 0
         # the floor of creep rates is far below the flow's rates
         if creep is not None and is_sharp and creep.rate_floor < _SHARP * rate:
-            floor = f"rheology.creep.rate_floor, {creep.rate_floor:.3g}/s, to a thousandth of the rates of"
-            lines.insert(0, f"{floor} creep; the velocity varies by up to {rate:.2g}/s")
-        return [*lines, "more viscosity, or a start, walls and loads that change over several steps"]
+            floor = f"rheology.creep.rate_floor from {creep.rate_floor:.3g}/s to a thousandth of the rates of"
+            lines.insert(0, f"{floor} creep; the largest |v|/h is {rate:.2g}/s")
+        return [*lines, "a larger viscosity, or loads and walls that change over several steps"]
     near = "there" if violation.wall is None else f"near {violation.wall!r}"
-    lines.append(f"a finer mesh {near}, or data that are smooth there (walls that meet with one velocity)")
+    lines.append(
+        f"a finer mesh {near}, or data that are smooth there (as equal velocities of walls that meet)"
+    )
     if violation.quantity in domain:
-        return [*lines, f"an energy with values beyond {violation.quantity} > 0, or less load"]
+        return [
+            *lines,
+            f"an energy that has values also outside of {violation.quantity} > 0, or smaller loads",
+        ]
     if violation.quantity != "rho":
         lines.append("an energy that rises faster as the volume goes to zero (material.epsilon, kappa)")
         lines.append("material.J_min or a Yosida approximation, with which a run may pass J = 0")

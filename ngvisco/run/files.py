@@ -89,14 +89,14 @@ def require_whole(path: Path) -> None:
         raw = path.read_bytes()
         text = gzip.decompress(raw) if path.suffix == ".gz" else raw
     except FileNotFoundError:
-        raise MeshError(f"{path}: no such mesh file") from None
+        raise MeshError(f"{path}: this mesh file does not exist") from None
     except (OSError, EOFError) as error:
-        raise MeshError(f"{path}: cannot be read ({error})") from error
+        raise MeshError(f"{path}: the file cannot be read ({error})") from error
     lines = [line.strip() for line in text.split(b"\n")]
     if b"mesh3d" not in lines[:10]:
-        raise MeshError(f"{path}: not a Netgen mesh file")
+        raise MeshError(f"{path}: this is not a Netgen mesh file")
     if b"endmesh" not in lines:
-        raise MeshError(f"{path}: the mesh file is cut short (no line 'endmesh')")
+        raise MeshError(f"{path}: the mesh file is cut short, since it has no line 'endmesh'")
 
 
 def mesh_image(mesh: Mesh) -> bytes:

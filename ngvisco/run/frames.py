@@ -105,7 +105,7 @@ def frame_of(
     """
     for name, value in fields.items():
         if value.dim != 1:
-            raise ParameterError(f"field {name!r} of a picture", value.dim, "a scalar")
+            raise ParameterError(f"field {name!r} of a picture", f"{value.dim} components", "a scalar field")
     bodies = {f"outline {i}": value for i, value in enumerate(outlines)}
     table, cells = sampled(mesh, CF((x, y, z, *fields.values(), *bodies.values())), pieces)
     columns = {name: table[:, [3 + i]] for i, name in enumerate((*fields, *bodies))}
@@ -167,7 +167,9 @@ def read_series_files(directory: str | os.PathLike[str]) -> list[tuple[float, Pa
     place = Path(directory)
     series = [(time, place / name) for time, name in read_pvd(place / "fields.pvd")]
     if not series:
-        raise CheckpointError(f"{place}: no VTK series (output.vtk.enabled = true writes one)")
+        raise CheckpointError(
+            f"{place}: there is no VTK series here; output.vtk.enabled = true writes a series"
+        )
     return series
 
 
@@ -182,9 +184,9 @@ def read_pvd(path: Path) -> list[tuple[float, str]]:
         entries = re.findall(r'timestep="([^"]+)"[^>]*file="([^"]+)"', path.read_text(encoding="utf-8"))
         series = [(float(time), name) for time, name in entries]
     except ValueError as error:
-        raise CheckpointError(f"{path}: not a readable file of a VTK series ({error})") from error
+        raise CheckpointError(f"{path}: this is not a readable file of a VTK series ({error})") from error
     if not series:
-        raise CheckpointError(f"{path}: not a file of a VTK series with states; move the file away")
+        raise CheckpointError(f"{path}: this is not a file of a VTK series with states; move the file away")
     return series
 
 
@@ -203,7 +205,7 @@ def read_frame(path: Path) -> Frame:
         del arrays["offsets"]
         return Frame(arrays.pop("Points"), _cells(types, where), arrays, outlined(list(arrays)))
     except (OSError, ValueError, KeyError, ElementTree.ParseError, struct.error) as error:
-        raise CheckpointError(f"{path}: not a readable file of a VTK series ({error})") from error
+        raise CheckpointError(f"{path}: this is not a readable file of a VTK series ({error})") from error
 
 
 def _joined(parts: Sequence[Frame]) -> Frame:
@@ -226,7 +228,7 @@ def _cells(types: np.ndarray, where: np.ndarray) -> np.ndarray:
     if np.all(types == _TETRAHEDRON):
         return where.reshape(-1, 4)
     if not np.all(np.isin(types, (_TRIANGLE, _QUADRILATERAL))):
-        raise ValueError("cells of another shape than triangles, quadrilaterals and tetrahedra")
+        raise ValueError("the file has cells other than triangles, quadrilaterals and tetrahedra")
     ends = np.cumsum(np.where(types == _TRIANGLE, 3, 4))
     first = np.concatenate([[0], ends[:-1]])[:, None] + [0, 1, 2]
     second = ends[types == _QUADRILATERAL][:, None] + [-4, -2, -1]

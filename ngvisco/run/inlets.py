@@ -114,23 +114,23 @@ class Inlets:
         for name, given in self._given.items():
             loss, meeting = row[f"dissipation_inflow_{name}"], ""
             if loss > _MATTERS * worked:
-                meeting = f"where they meet, {loss:.3g} W are lost, {loss / worked:.0%} of all powers"
+                meeting = f"where the two meet, {loss:.3g} W are lost, {loss / worked:.0%} of all powers"
             elif name in self._compared and self._entered[name] > _FILLED * row["mass"]:
                 difference, size = self._difference(name)
                 if difference > max(_DIFFERS * size, self._rounding):
-                    meeting = f"their deviators differ by {difference:.3g} Pa, with {size:.3g} Pa at the wall"
+                    meeting = f"the two deviators differ by {difference:.3g} Pa, of {size:.3g} Pa at the wall"
             if meeting:
                 return (
                     f"at t = {row['time']:.4g} s the inflow through {name!r} with the given "
-                    f"{given} has another stress than the body inside: {meeting}, and a jump stays at "
-                    "the wall. Give values (and a density) that belong to the stress at the wall, or no "
-                    "values; incoming matter then has the values inside"
+                    f"{given} has another stress than the body inside: {meeting}. A jump stays at "
+                    "the wall. Give values (and a density) that belong to the stress at the wall, or give no "
+                    "values, so that incoming matter has the values inside"
                 )
         for name in self._unknown:
             if self._entered[name] > _MATTERS * row["mass"]:
                 return (
                     f"at t = {row['time']:.4g} s a fluid comes in through {name!r} at a pressure, but with "
-                    "the density of the cell inside, since the material has no rho_R that belongs to the "
-                    "pressure; give rho_R, or the wall's density and values"
+                    "the density of the cell inside, since without rho_R the pressure does not determine the "
+                    "density; give rho_R, or the wall's density and values"
                 )
         return ""

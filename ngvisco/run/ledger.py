@@ -195,9 +195,9 @@ class Ledger:
         worst = self.rows[at]
         return (
             f"THE LEDGER DOES NOT CLOSE in {count} step{'s' * (count > 1)}: |closure_relative| is "
-            f"{closure[at]:.1e} in step {worst['step']}, t = {worst['time']:.4g} s, the limit "
-            f"{limit[at]:.0e}; energy is gained or lost that no term accounts for, and the results "
-            "are not to be trusted"
+            f"{closure[at]:.1e} in step {worst['step']} (t = {worst['time']:.4g} s), above the limit "
+            f"{limit[at]:.0e}. Energy is gained or lost for which no term accounts, so that the results "
+            "cannot be trusted"
         )
 
     def frame(self) -> Any:
@@ -215,7 +215,7 @@ class Ledger:
         self.step.energy.require()
         values = self.state()
         if bad := [name for name, value in values.items() if not math.isfinite(value)]:
-            raise InitialDataError(bad[0], values[bad[0]], "a finite value at the start")
+            raise InitialDataError(bad[0], f"the value is {values[bad[0]]}", "a finite value")
         energy = energy_of(values)
         self.balance = Balance(energy, values["mass"], values["mass"])
         row = self._idle() | values | dict.fromkeys(("dt", "closure", "closure_relative", "mass_drift"), 0.0)
@@ -257,7 +257,7 @@ class Ledger:
         for name, value in values.items():
             if not math.isfinite(value):
                 place = self.sampler.place_of_cells(integrals.cells_without(name))
-                raise StepError(f"{name} is {value}, {place}: take a smaller step or a finer mesh")
+                raise StepError(f"{name} is {value}, {place}; take a smaller step or a finer mesh")
         return values
 
     def energy(self) -> float:
@@ -411,8 +411,8 @@ class Ledger:
         if rms[worst] >= _DEFECT and DefectWarning not in self._warned:
             where = self.sampler.largest_in_words(abs(values[worst]), self._shares)
             pair = list(self._defects)[worst]
-            message = parted(self.step.model.material, pair, rms[worst], largest[worst])
-            self._warn_once(f"at t = {time:.4g} s, most {where}: {message}", DefectWarning)
+            message = parted(self.step.model.material, pair, rms[worst], largest[worst], where)
+            self._warn_once(f"at t = {time:.4g} s {message}", DefectWarning)
         return float(rms.max()), float(largest.max())
 
 

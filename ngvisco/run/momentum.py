@@ -231,7 +231,7 @@ class Momentum:
         return (
             f"at t = {row['time']:.4g} s the scheme itself has created {row[RELATIVE]:.1%} of the "
             f"present momentum; in the last step the largest part came from {_CAUSES[where]}. Forces that "
-            "belong to no load, wall or stress move the body, although the energy's ledger closes: take a "
+            "belong to no load, wall or stress move the body, although the energy's ledger closes. Take a "
             "finer mesh where carried variables jump, and shorter steps"
         )
 

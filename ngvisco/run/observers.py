@@ -263,8 +263,10 @@ class VTKSeries:
             require_count("VTKSeries", every=every)
         self.directory, self.every = require_path("VTKSeries.directory", directory), every
         if self.directory.exists() and not self.directory.is_dir():
-            raise ParameterError("VTKSeries.directory", str(directory), "a directory; this is a file")
-        self.times = as_numbers("VTKSeries.times", times, "a sequence of finite numbers, s")
+            raise ParameterError(
+                "VTKSeries.directory", str(directory), "a directory, but this path is a file"
+            )
+        self.times = as_numbers("VTKSeries.times", times, "a sequence of finite numbers, in s")
         self.names = None if fields is None else require_some_names("VTKSeries.fields", fields)
         self.subdivision = SUBDIVISION.taken("VTKSeries.subdivision", subdivision)
         self.written: list[tuple[float, str]] = []
@@ -342,8 +344,10 @@ def dissipation_advice(simulation: Simulation) -> str | None:
     remedy = "take a smaller dt"
     if scheme.order == 1:
         remedy = (
-            "take scheme = 'midpoint' (second order, one solve a step), 'sdirk2' where stiff parts are to be "
-            "damped, or a much smaller dt"
+            "take scheme = 'midpoint' (second order, one solve a step), or 'sdirk2' if stiff parts have to "
+            "be damped, or a much smaller dt"
         )
-    sentence = f"the time scheme {scheme.name} dissipated {numerical:.3g} J, the model {physical:.3g} J"
-    return f"{sentence}: {remedy}"
+    sentence = (
+        f"the time scheme {scheme.name} dissipated {numerical:.3g} J, but the model only {physical:.3g} J"
+    )
+    return f"{sentence}; {remedy}"

@@ -86,7 +86,7 @@ class PassiveFields:
         if "creep_strain" in self.names:
             rates = step.context.rates.mean_creep(step.now)
             if not rates:
-                raise ParameterError("passive", "creep_strain", "a model with creep, or no creep strain")
+                raise ParameterError("passive", "creep_strain", "no creep strain in a model without creep")
             for suffix, Pi in rates.items():
                 self._add_group(f"creep_strain{suffix}", 1, flow)
                 self._sources[f"creep_strain{suffix}_1"] = sqrt(2 / 3 * square(Pi))
@@ -150,10 +150,9 @@ class PassiveFields:
             self._has_warned = True
             names = ", ".join(sorted(self._unsolved))
             message = (
-                f"passive fields were not solved in {ITERATIONS} iterations: {names}. The step itself is "
-                "solved, "
+                f"the passive fields {names} were not solved in {ITERATIONS} iterations. The step itself is "
+                "solved, and the ledger's column passive_unsolved counts such fields; take smaller steps"
             )
-            message += "and the ledger's column passive_unsolved counts these fields; take smaller steps"
             Communicator.of(self.step.mesh).warn(message, InputWarning, stacklevel=2)
 
     def end(self, weights: np.ndarray) -> None:
@@ -172,7 +171,9 @@ class PassiveFields:
         """
         for key, field in self.parts.items():
             if key not in arrays or arrays[key].shape != (len(field.vec),):
-                raise CheckpointError(f"passive field {key}: missing in the checkpoint, or of another size")
+                raise CheckpointError(
+                    f"the passive field {key} is missing in the checkpoint, or has another size there"
+                )
             field.vec.FV().NumPy()[:] = arrays[key]
 
 

@@ -354,7 +354,10 @@ def _writer(kind: str, rate: float) -> Any:
 
     if kind == "mp4":
         if shutil.which(rcParams["animation.ffmpeg_path"]) is None:
-            raise PlotError("an mp4 needs ffmpeg, which is not on the path: install it, or ask for a .gif")
+            raise PlotError(
+                "an mp4 needs ffmpeg, which is not on the path; install ffmpeg, or choose a name that ends "
+                "in .gif"
+            )
         even = "pad=ceil(iw/2)*2:ceil(ih/2)*2"  # the codec needs even sizes
         return FFMpegWriter(fps=rate, extra_args=["-vf", even, "-pix_fmt", "yuv420p"])  # type: ignore[arg-type]
 

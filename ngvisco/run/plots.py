@@ -126,7 +126,7 @@ def plot_history(ledger: Ledger, path: AnyPath) -> None:
                 axis.set_ylim(0, 1.1 * float(values[1:].max()) or 1.0)
             if np.isnan(values).all():
                 where = {"ha": "center", "va": "center", "transform": axis.transAxes}
-                axis.text(0.5, 0.5, "the material has none", **where)
+                axis.text(0.5, 0.5, "the material has no such quantity", **where)
         axis.set(title=title, ylim=widened(*axis.get_ylim()))
         if kinds.keys() & set(names):
             axis.legend(fontsize=LABELS)
@@ -195,7 +195,7 @@ def _draw(tables: Mapping[str, dict[str, np.ndarray]], columns: Sequence[str], p
 def _energies(place: Path) -> dict[str, np.ndarray]:
     path = place / "run.h5"
     if not path.exists():
-        raise CheckpointError(f"{place}: not a run directory with results (no run.h5)")
+        raise CheckpointError(f"{place}: this is not a run directory with results, since run.h5 is missing")
     ledger = read_ledger(path)
     columns = {"time": ledger["time"], "kinetic energy, J": ledger["kinetic"]}
     columns["stored energy − initial, J"] = ledger["stored"] - ledger["stored"][0]

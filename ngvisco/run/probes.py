@@ -212,7 +212,7 @@ class Integrals(Series):
         super().__init__(path, every)
         if not isinstance(integrands, Mapping) or not integrands:
             raise ParameterError(
-                "Integrals.integrands", integrands, "a mapping of names to integrands, not empty"
+                "Integrals.integrands", integrands, "a mapping of names to integrands, with at least one name"
             )
         for name, value in integrands.items():
             is_scalar = isinstance(value, CoefficientFunction) and value.dim == 1
@@ -223,7 +223,7 @@ class Integrals(Series):
     def prepare(self, simulation: Simulation) -> list[str]:
         fields = components(simulation.fields)
         if taken := [name for name in self.integrands if name in FIRST]:
-            expected = f"another name than {taken[0]!r}, which is the table's own column"
+            expected = f"another name than {taken[0]!r}, since the table itself has a column of this name"
             raise ParameterError("Integrals.integrands", taken[0], expected)
 
         def integrand(name: str, value: Any) -> CoefficientFunction:

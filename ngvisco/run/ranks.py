@@ -85,7 +85,7 @@ class Numbering:
             return
         part = step.mesh
         if not isinstance(part, MeshPart):
-            expected = "a mesh that Simulation distributes itself, of which it knows the whole"
+            expected = "an undistributed mesh, which Simulation distributes itself"
             raise ParameterError("Checkpoints", "a distributed mesh", expected)
         self.mesh = mesh = part.whole
         self.layout = None if mesh is None else step.layout.on(mesh)

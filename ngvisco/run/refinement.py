@@ -144,8 +144,8 @@ def run_refined(
     require_type("run_refined.refinement", refinement, Refinement)
     # the run has begun, or was carried over from another mesh
     if simulation.number or simulation.ledger.balance is not None:
-        expected = "before its first step"
-        raise ParameterError("run_refined.simulation", f"at step {simulation.number}", expected)
+        expected = "a simulation before its first step"
+        raise ParameterError("run_refined.simulation", f"a simulation at step {simulation.number}", expected)
     refinement.check(simulation)
     first, chosen = simulation.mesh, None
     if checkpoint is not None:

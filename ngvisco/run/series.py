@@ -175,5 +175,5 @@ def read_columns(path: Path) -> dict[str, np.ndarray]:
         return dict(zip(head, rows.T, strict=True))
     except (ValueError, csv.Error) as error:
         raise CheckpointError(
-            f"{path}: not a table of numbers ({error}); move the file away to go on"
+            f"{path}: this is not a table of numbers ({error}); move the file away to go on"
         ) from error

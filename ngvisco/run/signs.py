@@ -111,8 +111,8 @@ class Signs:
             where = self._sampler.largest_in_words(-power, shares)
             if name == CREEP_POWER:
                 message = (
-                    f"at t = {time:.4g} s creep produces energy, M : Pi = {least:.3g} W/m^3, most "
-                    f"{where}: {self._cause()}, although the ledger closes"
+                    f"at t = {time:.4g} s creep produces energy, although the ledger closes: the least M : "
+                    f"Pi is {least:.3g} W/m^3, {where}. The cause is that {self._cause()}"
                 )
                 self._warn(message, CreepPowerWarning)
             elif least < -_NEGATIVE * largest:
@@ -145,7 +145,10 @@ class Signs:
             cause = "the cells are too large for jumping variables, or the energy is not convex"
         elif name == UPWINDING:
             cause = "a carried modulus jumps, and the energy is not convex in the modulus"
-        message = f"at t = {time:.4g} s {name} produces energy, {power}: {cause}, although the ledger closes"
+        message = (
+            f"at t = {time:.4g} s {name} is negative ({power}) and produces energy, although the ledger "
+            f"closes; the cause is that {cause}"
+        )
         self._warn(message, DissipationWarning)
 
     def _check_entropy(self, row: Mapping[str, float]) -> None:
@@ -159,9 +162,9 @@ class Signs:
             share, rounding = _MISSED, _NEGATIVE * rate
         if productions and productions[least] < -share * sum(map(abs, productions.values())) - rounding:
             message = (
-                f"at t = {row['time']:.4g} s {least} is {productions[least]:.3g} W/K: for "
-                "conduction, the cells are too large for the slopes of the temperature; for another "
-                "mechanism, its law produces energy"
+                f"at t = {row['time']:.4g} s {least} is {productions[least]:.3g} W/K. The "
+                "cause of a negative production by conduction is that cells are too large for the slopes of "
+                "the temperature; for any other mechanism the cause is that its law produces energy"
             )
             self._warn(message, EntropyWarning)
 
@@ -176,7 +179,7 @@ def cause_of_negative_power(step: Step, sampler: Sampler) -> str:
             least = sampler.extrema(expression.at(step.now.z_tensors))[0]
             if least < 0:
                 return (
-                    f"{name} is {least:.3g} at a point: a parameter with an arithmetic mean in cells "
-                    'overshoots where it jumps; nv.Parameter(mean="geometric") keeps the sign'
+                    f"{name} is {least:.3g} at a point, since a parameter with an arithmetic mean in cells "
+                    'overshoots where the parameter jumps; nv.Parameter(mean="geometric") keeps the sign'
                 )
     return "the flow rule does not dissipate for every stress"

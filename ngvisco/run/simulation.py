@@ -187,9 +187,9 @@ class Simulation(RunState):
         error's ``report`` says where and why the step failed.
         """
         if self.mesh.ne != self._cells_here:
-            message = f"the mesh has {self.mesh.ne} cells, but {self._cells_here} when the run was made"
+            message = f"the mesh has {self.mesh.ne} cells, but had {self._cells_here} when the run was made"
             raise MeshError(
-                f"{message}: make another run on the refined mesh, and move the state by nv.transfer"
+                f"{message}; make another run on the refined mesh, and move the state by nv.transfer"
             )
         with computing(), self.solver.workers(), ending_all_ranks():
             self._start_ledger()
@@ -231,7 +231,7 @@ class Simulation(RunState):
         end = as_number(until)
         if end is None or end < self.t:
             raise ParameterError("until", until, f"a finite number >= {self.t:g}")
-        until, stops = end, as_numbers("stops", stops, "a sequence of finite numbers, s")
+        until, stops = end, as_numbers("stops", stops, "a sequence of finite numbers, in s")
         for observer in self.observers:
             require_methods("observers", observer, METHODS_OF_OBSERVERS)
         self.check_data(until)

@@ -89,7 +89,7 @@ def _verify(path: Path, group: h5py.Group, checksum: str) -> None:
     """Raise CheckpointError unless the group has the checksum ``checksum``."""
     stored = group.attrs.get(CHECKSUM)
     if stored != checksum:
-        flaw = "has no checksum" if stored is None else "is damaged (the checksum differs)"
+        flaw = "has no checksum" if stored is None else "is damaged, since its checksum differs"
         raise CheckpointError(f"{path}: {group.name.lstrip('/')} {flaw}; go on from another copy of the file")
 
 
@@ -101,14 +101,14 @@ _DAMAGES = (OSError, KeyError, RuntimeError, ValueError, TypeError)
 def opened(path: Path) -> Iterator[h5py.File]:
     """A run's file, opened; raises CheckpointError for a missing or damaged file."""
     if not path.exists():
-        raise CheckpointError(f"{path}: no such file")
+        raise CheckpointError(f"{path}: this file does not exist")
     try:
         with h5py.File(path, "r") as file:
             yield file
     except CheckpointError:
         raise
     except _DAMAGES as error:
-        raise CheckpointError(f"{path}: not a readable run file ({error})") from error
+        raise CheckpointError(f"{path}: this is not a readable run file ({error})") from error
 
 
 def mesh_of_checkpoints(path: AnyPath) -> ChosenMesh | None:
@@ -171,13 +171,17 @@ def take_up(
         snapshot = _read_checkpoint(path, must_match | dict(attributes or {}), step)
         size, expected = snapshot.arrays["/state"].size, simulation.unknowns
         if size != expected:
-            raise CheckpointError(f"{path}: the state has {size} coefficients, not {expected}")
+            raise CheckpointError(
+                f"{path}: the state in this file has {size} coefficients, but that of the run {expected}"
+            )
         read.append(snapshot)
         number, columns = int(snapshot.numbers["/step"]), read_ledger(path)
         names = list(columns) if may_differ else [*ledger.columns, *ledger.foreign(columns)]
         rows = [row for row in _rows(path, columns, names) if row["step"] <= number]
         if [row["step"] for row in rows] != list(range(number + 1)):
-            raise CheckpointError(f"{path}: the ledger in this file lacks rows of the steps 0 to {number}")
+            raise CheckpointError(
+                f"{path}: the ledger in this file lacks rows of some of the steps 0 to {number}"
+            )
         with opened(path) as file:  # in files of older versions, which have no limits, this run's limits hold
             limits = [(int(first), float(limit)) for first, limit in file["ledger"].attrs.get(CLOSURES, ())]
         return snapshot.numbers, list(snapshot.arrays), names, rows, limits
@@ -203,11 +207,11 @@ def _read_checkpoint(path: Path, expected: dict[str, Any], step: int | None) -> 
                 raise CheckpointError(f"{path}: {message}")
         names = sorted(file["checkpoints"])
         if not names:
-            raise CheckpointError(f"{path}: the file holds no checkpoint; start the run anew")
+            raise CheckpointError(f"{path}: the file has no checkpoint; start the run anew")
         name = names[-1] if step is None else f"{step:08d}"
         if name not in names:
             steps = ", ".join(str(int(n)) for n in names)
-            error = CheckpointError(f"{path}: no checkpoint of step {step} (there are {steps})")
+            error = CheckpointError(f"{path}: there is no checkpoint of step {step}, only of {steps}")
             error.key = "step"
             raise error
         try:
@@ -216,7 +220,10 @@ def _read_checkpoint(path: Path, expected: dict[str, Any], step: int | None) -> 
             others = [int(other) for other in names if _is_whole(path, file["checkpoints"][other])]
             if not others:
                 raise
-            text = f"{error}, or in Python by restore(path, step={others[-1]}), whose checkpoint is whole"
+            text = (
+                f"{error}, or in Python from the whole checkpoint of step {others[-1]}, by restore(path, "
+                f"step={others[-1]})"
+            )
             raise CheckpointError(text) from error
 
 

@@ -101,7 +101,7 @@ class RunState:
 
     @t.setter
     def t(self, value: float) -> None:
-        expected = "not to be set: advance() and run() move it, restore() does"
+        expected = "no assignment, since only advance(), run() and restore() set the time"
         raise ParameterError("Simulation.t", value, expected)
 
     @property
@@ -111,7 +111,9 @@ class RunState:
 
     @number.setter
     def number(self, value: int) -> None:
-        raise ParameterError("Simulation.number", value, "not to be set: advance() and run() count it")
+        raise ParameterError(
+            "Simulation.number", value, "no assignment, since advance() and run() count the steps"
+        )
 
     @cached_property
     def numbering(self) -> Numbering:

@@ -118,7 +118,7 @@ class TimeSteps:
         if self.adaptive is not None:
             least, most = self.adaptive.dt_min, self.adaptive.dt_max
             if not least <= self.dt <= most:
-                expected = f"a number from {least:g} to {most:g}, dt_min to dt_max"
+                expected = f"a number from dt_min = {least:g} to dt_max = {most:g}"
                 raise ParameterError("TimeSteps.dt", self.dt, expected)
             require_effect(self, False, "with adaptive steps, which are halved down to dt_min", "halvings")
         require_effect(self, self.made.A != ((1.0,),), "with backward Euler itself", "startup")
@@ -126,8 +126,8 @@ class TimeSteps:
         constant = abs(scheme.error_constant) * math.factorial(scheme.order + 1)
         if tolerance is not None and constant < LEAST_CONSTANT:
             expected = (
-                f" with this scheme, since its error constant {scheme.error_constant:.1e} is too small for "
-                f"an estimate of the order {scheme.order}"
+                f" with this scheme, since the error constant {scheme.error_constant:.1e} of this scheme is "
+                f"too small for an estimate of the order {scheme.order}"
             )
             raise ParameterError("AdaptiveSteps.tolerance", tolerance, None, expected)
         if self.relaxation and (self.adaptive is None or scheme.A != midpoint().A):
@@ -164,7 +164,7 @@ def time_steps(time: TimeSteps | None, keywords: Mapping[str, Any]) -> TimeSteps
     require_type("Simulation.time", time, TimeSteps)
     if keywords:
         raise ParameterError(
-            "Simulation.time", time, None, f", since its parameters {', '.join(keywords)} are given"
+            "Simulation.time", time, None, f", since its parameters are also given ({', '.join(keywords)})"
         )
     return time
 
@@ -300,7 +300,7 @@ class FixedStepper:
                     level, turned = first, True
                 else:
                     level += 1
-                    reason += f"; taken in parts of {self.dt / (1 << level):.4g} s"
+                    reason += f"; the step is taken in parts of {self.dt / (1 << level):.4g} s"
             rejections += 1
             rejected(Rejection(t, tau, reason, history))
 
@@ -377,7 +377,7 @@ class AdaptiveStepper:
                     raise
                 history, shorter = (), tau / LARGEST_CHANGE
                 if error is not None and tolerance is not None and error > tolerance:
-                    reason = f"estimated error {error:.2e} is above {tolerance:.2e}"
+                    reason = f"the estimated error {error:.2e} is above the tolerance {tolerance:.2e}"
                     fraction = (SAFETY * tolerance / error) ** (1 / (scheme.order + 1))
                     shorter = max(shorter, tau * fraction)
                 elif reason := self._growth.refused(tau, step.rates):
@@ -389,10 +389,10 @@ class AdaptiveStepper:
             rejected(rejections[-1])
             self.dt, self.streak = shorter, 0
             if self.dt < self.options.dt_min:
-                tried = "; ".join(f"{r.tau:g} s: {r.reason}" for r in rejections)
+                tried = "The run tried " + "; ".join(f"{r.tau:g} s ({r.reason})" for r in rejections)
                 shortest = f"dt_min = {self.options.dt_min:g} s from t = {t:g} s"
                 attempts = [attempt for rejection in rejections for attempt in rejection.history]
-                raise StepError(f"no step of at least {shortest} is accepted; tried {tried}", attempts)
+                raise StepError(f"no step of at least {shortest} is accepted. {tried}", attempts)
         if estimate is not None:
             estimate.keep(new_time)
         self._choose(tau, error, scheme.order, bool(rejections))

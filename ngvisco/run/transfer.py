@@ -90,7 +90,7 @@ def transfer(source: Simulation, target: Simulation) -> Transfer:
     before = source.ledger.energy() if source.ledger.balance is None else source.ledger.balance.energy
     scaled = _set_fields(source, target, points, at)
     if (defect := target.bounds.defect()) is not None:
-        raise InitialDataError("transferred state", defect, "positive values; take a finer mesh")
+        raise InitialDataError("transferred state", defect, "an admissible state; take a finer mesh")
     if target.bounds.limits:
         target.bounds.limit()
     new.state.vec.FV().NumPy()[new.layout.ranges["v"]] = 0.0
@@ -158,15 +158,19 @@ def require_fit(source: Simulation, target: Simulation) -> None:
     if (had := source.arguments["symmetry"]) != (has := target.arguments["symmetry"]):
         raise ParameterError("transfer.target", f"symmetry {has!r}", f"{had!r}, the symmetry of the source")
     if source.mesh.dim != target.mesh.dim:
-        raise ParameterError("transfer.target", f"dimension {target.mesh.dim}", f"{source.mesh.dim}")
+        raise ParameterError(
+            "transfer.target", f"dimension {target.mesh.dim}", f"{source.mesh.dim}, as in the source"
+        )
     if target.number or len(target.ledger.rows) > 1:
-        raise ParameterError("transfer.target", f"at step {target.number}", "a run before its first step")
+        raise ParameterError(
+            "transfer.target", f"a run at step {target.number}", "a run before its first step"
+        )
     missing = sorted(set(target.passive.names) - set(source.passive.names))
     if missing:
         raise ParameterError("transfer.target", missing, "passive fields that the source carries too")
     volumes = [Integrate(CF(1.0), run.mesh) for run in (source, target)]
     if abs(volumes[1] / volumes[0] - 1) > _VOLUME:
-        raise MeshError(f"the new mesh has the volume {volumes[1]:.6g}, the old mesh {volumes[0]:.6g}")
+        raise MeshError(f"the new mesh has the volume {volumes[1]:.6g}, but the old mesh {volumes[0]:.6g}")
 
 
 def _located(mesh: Mesh, points: QuadraturePoints) -> Located:
@@ -208,7 +212,7 @@ def _set_fields(source: Simulation, target: Simulation, points: QuadraturePoints
     for name, (had, has, coefficients) in kept.items():
         before, after = float(old.quadrature.integrate_cells(had)), float(new.quadrature.integrate_cells(has))
         if not after > 0:
-            amount, integral = name.removeprefix(AMOUNT), f"an integral of {after:.3g}"
+            amount, integral = name.removeprefix(AMOUNT), f"the integral is {after:.3g}"
             raise InitialDataError(
                 f"transferred amount of {amount}", integral, "an integral > 0; take a finer mesh"
             )

@@ -23,7 +23,7 @@ from ngvisco.run.simulation import Simulation
 
 _TABLES = (Probes, Integrals, WallForces, Bodies)
 _RATES = ("dissipation", "power", "production", "flux")
-_COUNT, _ROUNDING = "it counts", "this column is rounding"
+_COUNT, _ROUNDING = "this column counts events", "this column measures rounding"
 _FROZEN = "derivatives treat the limiter's changes as constant"
 _OF_LENGTH = "derivatives treat the lengths of steps as constant"
 _REFUSED = {
@@ -80,20 +80,21 @@ class Columns:
         refused = {name: _REFUSED.get(name, _OF_LENGTH) for name in ledger.columns if name not in of_ledger}
         refused |= dict.fromkeys((e.name for e in ledger.entries if e.name in refused), _FROZEN)
         refused |= dict.fromkeys(
-            ledger.momentum.balances, "this column is the change of the momentum less the impulses"
+            ledger.momentum.balances, "this column is the change of the momentum minus the impulses"
         )
         for table in self._tables:
             refused |= table.jumping if isinstance(table, Bodies) else {}
         for name in self.names:
             if name in refused:
-                raise ParameterError("of", name, f"a column that has a derivative: {refused[name]}")
+                raise ParameterError("of", name, f"a column that has a derivative, but {refused[name]}")
             if name not in differentiable:
                 raise UnknownNameError("column", name, differentiable, "of")
             if (count := [*ledger.columns, *chain.from_iterable(of_tables)].count(name)) > 1:
                 raise ParameterError(
                     "of",
                     name,
-                    f"a name of one column; {count} columns have this name, rename that of a table",
+                    f"the name of one column, but {count} columns have this name; rename the column of a "
+                    "table",
                 )
 
         def mask(kind: Collection[str]) -> np.ndarray:

@@ -55,7 +55,7 @@ class Data:
             with path.open(newline="", encoding="utf-8-sig") as file:
                 rows = [row for row in csv.reader(file) if any(cell.strip() for cell in row)]
         except (UnicodeDecodeError, csv.Error) as error:
-            raise DataError(f"{path}: not a CSV file ({error})") from error
+            raise DataError(f"{path}: this is not a CSV file ({error})") from error
         if len(rows) < 2:
             raise DataError(f"{path}: the file has no rows of data below the names of the columns")
         names, units = _head(path, rows[0])
@@ -68,7 +68,9 @@ def _head(path: Path, cells: Sequence[str]) -> tuple[list[str], dict[str, str]]:
     for cell in cells:
         head = _HEAD.fullmatch(cell)
         if head is None or as_number(_float(cell)) is not None:
-            raise DataError(f"{path}: {cell!r:.60} is no name of a column, which may have a unit in brackets")
+            raise DataError(
+                f"{path}: {cell!r:.60} is not the name of a column, with or without a unit in brackets"
+            )
         names.append(head["name"])
         if head["unit"] is not None:
             units[head["name"]] = head["unit"].strip()
@@ -89,7 +91,7 @@ def _numbers(path: Path, line: int, row: Sequence[str], names: Sequence[str]) ->
     for name, cell in zip(names, row, strict=True):
         number = as_number(_float(cell))
         if number is None and cell.strip():
-            raise DataError(f"{path}, row {line}: {name} = {cell!r:.40}, expected a finite number")
+            raise DataError(f"{path}, row {line}: {name} = {cell!r:.40}; expected a finite number")
         numbers.append(np.nan if number is None else number)
     return numbers
 
@@ -100,19 +102,23 @@ def _column(name: Any, values: Any) -> np.ndarray:
     except (TypeError, ValueError) as error:
         raise DataError(f"data[{name!r}]: expected a sequence of numbers") from error
     if column.ndim != 1 or np.isinf(column).any():
-        raise DataError(f"data[{name!r}]: expected a sequence of finite numbers, NaN where there is none")
+        raise DataError(
+            f"data[{name!r}]: expected a sequence of finite numbers, with NaN for missing numbers"
+        )
     return column
 
 
 def _checked(where: str, columns: dict[str, np.ndarray], units: dict[str, str]) -> Data:
     times = columns.pop(TIME, None)
     if times is None:
-        raise DataError(f"{where}: no column {TIME!r}, s")
+        raise DataError(f"{where}: there is no column {TIME!r}, in s")
     columns.pop("step", None)  # a column of tables written by runs
     if not columns:
-        raise DataError(f"{where}: no column beside {TIME!r}")
+        raise DataError(f"{where}: there is no column besides {TIME!r}")
     if not len(times) or any(len(column) != len(times) for column in columns.values()):
-        raise DataError(f"{where}: expected as many values of each column as there are times, at least one")
+        raise DataError(
+            f"{where}: expected at least one time, and in each column as many values as there are times"
+        )
     if not (np.isfinite(times) & (times >= 0)).all():
         raise DataError(f"{where}: expected times >= 0 in every row")
     for name, values in columns.items():

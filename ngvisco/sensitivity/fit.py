@@ -170,10 +170,10 @@ def fit(
         repeat them; a run that was interrupted begins anew.  Raises CheckpointError as ``gradient``.
     """
     if simulation.number != 0:
-        raise ParameterError("fit.simulation", simulation.number, "a simulation that made no step")
+        raise ParameterError("fit.simulation", f"a run at step {simulation.number}", "a run at its start")
     names = require_collection("by", by, 'names of parameters, e.g. ["material.G_e"]')
     if not names or len(set(names)) < len(names):
-        raise ParameterError("by", by, "at least one parameter, and each once")
+        raise ParameterError("by", by, "at least one parameter, and no parameter twice")
     parameters = [Named.of(name, simulation) for name in names]
     measured = _measured(simulation, Data.of(data), factor)
     end = _end(simulation, measured, until)
@@ -254,7 +254,7 @@ class _Search:
         count = len(self.of)
         if count < len(parameters) + self.is_estimated:
             needed = f"at least {len(parameters) + self.is_estimated}"
-            raise DataError(f"{count} values for {len(parameters)} parameters: expected {needed}")
+            raise DataError(f"there are {count} values for {len(parameters)} parameters; expected {needed}")
         for name in bounds:
             if name not in [p.name for p in parameters]:
                 raise ParameterError("bounds", name, f"one of {', '.join(p.name for p in parameters)}")
@@ -437,7 +437,7 @@ def _bounds(parameter: Named, given: tuple[float, float] | None) -> tuple[float,
     value = parameter.value
     if given is None:
         if value == 0:
-            raise ParameterError("fit.bounds", None, f"bounds of {parameter.name}, whose start is 0")
+            raise ParameterError("fit.bounds", None, f"bounds of {parameter.name}, which starts at 0")
         low, high = sorted((value / _RANGE, value * _RANGE))
         return low, high
     try:

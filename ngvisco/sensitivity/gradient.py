@@ -190,7 +190,7 @@ def gradient(
         expected = "no start values, since the run has begun"
         raise ParameterError("by", by, expected)
     if method == "adjoint" and simulation.bounds.sharpening is not None:
-        expected = "'tangent' for a run with Discretisation.sharp, which has no adjoint"
+        expected = "'tangent' for a run with Discretisation.sharp, since such a run has no adjoint"
         raise ParameterError("method", method, expected)
     simulation.stop_requested = False
     slopes = Slopes(base) if method == "adjoint" else None
@@ -249,6 +249,6 @@ def _base(simulation: Simulation, names: Sequence[str]) -> Follower:
 def _parameters(by: Sequence[str], simulation: Simulation, method: str) -> list[Named]:
     names = require_collection("by", by, 'names of parameters, e.g. ["material.G_e"]')
     if not (names or method == "adjoint") or len(set(names)) < len(names):
-        raise ParameterError("by", by, "at least one parameter, and each once")
+        raise ParameterError("by", by, "at least one parameter, and no parameter twice")
     step = AT_FIXED_STATES if method == "adjoint" else STEP
     return [Named.of(name, simulation, step) for name in names]

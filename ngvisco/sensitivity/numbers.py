@@ -66,7 +66,7 @@ class Wanted:
             except ValueError:
                 number = None
         if match is None or number is None:
-            expected = '"COLUMN at TIME", or "COLUMN until TIME" for the integral over time, TIME in s'
+            expected = '"COLUMN at TIME", or "COLUMN until TIME" for the integral over time, with TIME in s'
             raise ParameterError("of", text, expected)
         return cls(match["column"], number, match["kind"] == "until")
 
@@ -101,13 +101,13 @@ class Misfit:
 
     def __post_init__(self) -> None:
         if not isinstance(self.data, Mapping) or not self.data:
-            raise ParameterError("Misfit.data", self.data, 'a mapping as {"tip.velocity_1 at 0.5": 0.1}')
+            raise ParameterError("Misfit.data", self.data, 'a mapping such as {"tip.velocity_1 at 0.5": 0.1}')
         for name, value in self.data.items():
             if as_number(value) is None:
                 raise ParameterError(f"Misfit.data[{name!r}]", value, "a finite number")
         deviations = np.broadcast_to(np.asarray(self.sigma, dtype=float), (len(self.data),))
         if not (np.isfinite(deviations) & (deviations > 0)).all():
-            raise ParameterError("Misfit.sigma", self.sigma, "numbers > 0, one or as many as there are data")
+            raise ParameterError("Misfit.sigma", self.sigma, "one number > 0, or as many as there are data")
 
     def residuals(self, values: np.ndarray) -> np.ndarray:
         """Differences of ``values`` from the data, in units of the standard deviations."""
@@ -149,7 +149,7 @@ class Numbers:
         given = (
             of
             if isinstance(of, Mapping)
-            else {str(text): text for text in require_collection("of", of, 'texts as "kinetic at 0.5"')}
+            else {str(text): text for text in require_collection("of", of, 'texts such as "kinetic at 0.5"')}
         )
         numbers: list[Wanted] = []
         named: dict[str, tuple[slice, Misfit | None]] = {}

@@ -108,7 +108,10 @@ class Named:
         try:
             return varied(simulation, {self: value})
         except NgviscoError as error:
-            expected = f"a value at least {2 * self.spacing:.2g} from the ends of its range: {error}"
+            expected = (
+                f"a value at a distance of at least {2 * self.spacing:.2g} from the ends of its range "
+                f"({error})"
+            )
             raise ParameterError(f"by: {self.name}", self.value, expected) from error
 
 

@@ -112,7 +112,7 @@ class Restart:
             arrays = {key: np.array(data) for key, data in file.items()}
             if texts.get(CHECKSUM) != digest_of(numbers, arrays):
                 raise CheckpointError(
-                    f"{self.path(name)}: the file is damaged (the checksum differs); take a new folder"
+                    f"{self.path(name)}: the file is damaged, since its checksum differs; take a new folder"
                 )
         return numbers, arrays
 

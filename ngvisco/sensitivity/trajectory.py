@@ -125,7 +125,9 @@ class Trajectory:
         }
         for part, reason in refused.items():
             if reason:
-                raise ParameterError(f"gradient: {part}", str(part), f"a run that has derivatives: {reason}")
+                raise ParameterError(
+                    f"gradient: {part}", str(part), f"a run that has derivatives, but {reason}"
+                )
         self._begin()
 
     def _lacks_derivatives(self) -> bool:

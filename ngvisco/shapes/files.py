@@ -54,16 +54,20 @@ class ClosedSurface(Shape):
         corners = _read(Path(self.path)) * self.scale
         if not len(corners):
             raise ParameterError(
-                "ClosedSurface.path", self.path, "an STL file with triangles; the file is empty"
+                "ClosedSurface.path", self.path, "an STL file with triangles, but this file has none"
             )
         if not np.isfinite(corners).all():
-            raise ParameterError("ClosedSurface.path", self.path, "triangles with finite coordinates")
+            raise ParameterError(
+                "ClosedSurface.path", self.path, "a file of triangles with finite coordinates"
+            )
         size = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
         part = _connected_parts(self.path, corners, size)
         a, b, c = corners.transpose(1, 0, 2) - corners.mean(axis=(0, 1))
         volumes = np.bincount(part, weights=np.sum(a * np.cross(b, c), axis=1) / 6)
         if not (abs(volumes) > 1e-12 * size**3).any():
-            raise ParameterError("ClosedSurface.path", self.path, "a surface that encloses a volume")
+            raise ParameterError(
+                "ClosedSurface.path", self.path, "a file of a surface that encloses a volume"
+            )
         inward = _inward(corners, part, volumes)
         return np.where(inward[part][:, None, None], corners[:, ::-1], corners)
 
@@ -72,7 +76,7 @@ class ClosedSurface(Shape):
             raise ParameterError(
                 "ClosedSurface.path",
                 self.path,
-                "a mesh of three dimensions, since a surface bounds no part of a plane",
+                "no closed surface in a mesh of two dimensions, since a surface bounds no part of a plane",
             )
         # only the sign of the crossings is used: parts that overlap give larger numbers
         inside = crossings(self.triangles, at.coordinates) > 0
@@ -99,12 +103,14 @@ def _read(path: Path) -> np.ndarray:
     vertices = re.findall(rf"vertex\s+{number}\s+{number}\s+{number}", text)
     if len(vertices) % 3 or len(vertices) != len(re.findall(r"\bvertex\b", text)):
         raise ParameterError(
-            "ClosedSurface.path", str(path), "triangles, each with three corners of three numbers"
+            "ClosedSurface.path", str(path), "a file of triangles, each with three corners of three numbers"
         )
     try:
         return np.array(vertices, dtype=float).reshape(-1, 3, 3)
     except ValueError as error:
-        raise ParameterError("ClosedSurface.path", str(path), f"numbers ({error})") from error
+        raise ParameterError(
+            "ClosedSurface.path", str(path), f"a file with numbers as coordinates ({error})"
+        ) from error
 
 
 def _connected_parts(path: str | os.PathLike[str], corners: np.ndarray, size: float) -> np.ndarray:
@@ -114,14 +120,18 @@ def _connected_parts(path: str | os.PathLike[str], corners: np.ndarray, size: fl
     """
     if size == 0:
         raise ParameterError(
-            "ClosedSurface.path", path, "a surface that encloses a volume; all corners are one point"
+            "ClosedSurface.path",
+            path,
+            "a file of a surface that encloses a volume, but all corners are one point",
         )
     places = np.round(corners.reshape(-1, 3) / (_SAME * size)).astype(np.int64)
     _, numbers = np.unique(places, axis=0, return_inverse=True)
     triangles = numbers.reshape(-1, 3)
     corners_of_each = np.sort(triangles, axis=1)
     if twice := len(triangles) - len(np.unique(corners_of_each, axis=0)):
-        expected = f"each triangle once; {twice} of the {len(triangles)} triangles are repeated"
+        expected = (
+            f"a file with each triangle once, but {twice} of the {len(triangles)} triangles are repeated"
+        )
         raise ParameterError("ClosedSurface.path", path, expected)
     whole = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)  # excludes triangles collapsed to a line
     edges = np.concatenate([triangles[whole][:, [i, (i + 1) % 3]] for i in range(3)])
@@ -131,7 +141,7 @@ def _connected_parts(path: str | os.PathLike[str], corners: np.ndarray, size: fl
     sense = np.bincount(where, weights=np.sign(edges[:, 1] - edges[:, 0]))
     open_edges = int(np.count_nonzero(sense))
     if open_edges:
-        expected = f"a closed surface; {open_edges} of the {len(sense)} edges have triangles on one side only"
+        expected = f"a closed surface, but {open_edges} of {len(sense)} edges have triangles on one side only"
         raise ParameterError("ClosedSurface.path", path, expected)
     owner = np.tile(np.flatnonzero(whole), 3)
     count = len(triangles) + len(sense)  # nodes of the graph: triangles and edges

@@ -27,7 +27,7 @@ from ngvisco.shapes.places import Places
 
 _LOOKED_AT = 4  # pieces of a cell's edges, at the ends of which levels are tested
 MISSED = (
-    f"a place within the domain, no thinner than 1/{_LOOKED_AT} of the cells there, since no cell has a part "
+    f"a place within the domain that is at least 1/{_LOOKED_AT} of a cell thick, since no cell has a part "
     "of this place; for a smaller place take a finer mesh (maxh, refine)"
 )
 """Expectation in the error message for a shape that fills no cell."""

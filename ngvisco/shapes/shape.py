@@ -101,7 +101,7 @@ class Where(Shape):
     def level(self, at: Places) -> np.ndarray:
         values = at.values(self.function).reshape(-1)
         if not np.isfinite(values).all():
-            raise ParameterError("Where.function", "not finite somewhere in the domain", "finite values")
+            raise ParameterError("Where.function", "a function that is not finite somewhere", "finite values")
         is_indicator = bool(np.isin(values, (0.0, 1.0)).all())
         return values - 0.5 if is_indicator else values
 
@@ -184,7 +184,7 @@ class HalfSpace(Shape):
         largest = max(map(abs, normal))
         if len(normal) != len(point) or largest == 0:
             raise ParameterError(
-                "HalfSpace.normal", self.normal, f"a vector of length {len(point)}, not zero"
+                "HalfSpace.normal", self.normal, f"a nonzero vector with {len(point)} components"
             )
         object.__setattr__(self, "point", point)
         scaled = [n / largest for n in normal]  # squares of the numbers given may leave the range of floats
@@ -223,7 +223,7 @@ class Polygon(Shape):
         a, b = self._edges
         if not (np.linalg.norm(b - a, axis=1) > 0).all():
             raise ParameterError(
-                "Polygon.points", self.points, "points, each different from the point before"
+                "Polygon.points", self.points, "points that each differ from the point before"
             )
         if (otherwise := _expected_of_edges(a, b)) is not None:
             raise ParameterError("Polygon.points", self.points, otherwise)
@@ -235,7 +235,7 @@ class Polygon(Shape):
 
     def level(self, at: Places) -> np.ndarray:
         if at.mesh.dim != 2:
-            raise ParameterError("Polygon.points", self.points, "a mesh of two dimensions")
+            raise ParameterError("Polygon.points", self.points, "no polygon in a mesh of three dimensions")
         p, is_inside = at.coordinates, np.zeros(len(at.coordinates), dtype=bool)
         distance = np.full(len(p), np.inf)
         for a, b in zip(*self._edges, strict=True):
@@ -261,8 +261,8 @@ def _expected_of_edges(a: np.ndarray, b: np.ndarray) -> str | None:
     common = np.minimum(on.max(axis=0), length) - np.maximum(on.min(axis=0), 0)
     is_collinear = (abs(off) <= rounding * length).all(axis=0) & ~np.eye(len(a), dtype=bool)
     for defect, expected in (
-        (has_both_sides & has_both_sides.T, "edges that do not cross; edges {} and {} cross"),
-        (is_collinear & (common > rounding), "edges that do not overlap; edges {} and {} overlap"),
+        (has_both_sides & has_both_sides.T, "edges that do not cross, but edges {} and {} cross"),
+        (is_collinear & (common > rounding), "edges that do not overlap, but edges {} and {} overlap"),
     ):
         if defect.any():
             return expected.format(*(np.argwhere(defect)[0] + 1))
@@ -316,5 +316,5 @@ def require_dim(field: str, value: Sequence[float], mesh: Mesh) -> None:
     """Raise ParameterError unless a place has as many coordinates as the mesh."""
     if len(value) != mesh.dim:
         raise ParameterError(
-            field, list(value), f"{mesh.dim} coordinates, as the mesh has {mesh.dim} dimensions"
+            field, list(value), f"{mesh.dim} coordinates, since the mesh has {mesh.dim} dimensions"
         )

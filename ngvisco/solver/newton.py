@@ -44,8 +44,9 @@ HEAP_SIZES = (500_000_000, 2_000_000_000)
 """Heap sizes for a cell's matrix, bytes, tried if NGSolve's default is too small, as for k = 3, m = 2 in
 3D."""
 _UNITS = (
-    ". This elimination of a cell's own unknowns has no scaling: if moduli and volume/dt differ by twenty "
-    "orders, as in SI in geodynamics, take units in which both are near one, or the split solver"
+    ". The elimination of a cell's own unknowns is not scaled. If moduli and volume/dt differ by twenty "
+    "orders of magnitude, as in geodynamics in SI units, take units in which these numbers are near one, "
+    "or the split solver"
 )
 
 

@@ -144,17 +144,20 @@ class NewtonOptions:
         # sparsecholesky silently returns nonsense for nonsymmetric matrices
         if not is_available(self.inverse):
             have = ", ".join(filter(is_available, get_args(Inverse)))
-            expected = f"{have}; this installation of NGSolve has no other inverse"
+            expected = f"one of {have}, since this installation of NGSolve has no other inverse"
             raise ParameterError("NewtonOptions.inverse", self.inverse, expected)
         is_split, where = self.method == "split", "with the method 'split'"
         require_effect(self, not is_split, where, "refresh", "min_damping", "inverse")
         require_effect(self, self.method != "coupled", "with the method 'coupled'", "split", "threads")
         if self.coarse != "direct":
             if self.method == "coupled":
-                expected = "'direct' with the method 'coupled', which factorises one system of all unknowns"
+                expected = (
+                    "'direct' with the method 'coupled', since this method factorises one system of all "
+                    "unknowns"
+                )
                 raise ParameterError("NewtonOptions.coarse", self.coarse, expected)
             if (missing := obstacle(self.coarse)) is not None:
-                raise ParameterError("NewtonOptions.coarse", self.coarse, f"'direct': {missing}")
+                raise ParameterError("NewtonOptions.coarse", self.coarse, f"'direct', since {missing}")
 
 
 @cache

@@ -97,7 +97,7 @@ class RotheSolver:
         """
         if self.turns.obstacle is not None:
             raise StepError(
-                f"the {self.turns.other} solver cannot take the step instead: {self.turns.obstacle}"
+                f"the {self.turns.other} solver cannot take the step instead, since {self.turns.obstacle}"
             )
         words = self.turns.turn()
         self.newton.reset()
@@ -136,7 +136,7 @@ class RotheSolver:
             newton = Newton(step.residual, step.state.vec, norm, local.update, options, *more)
             reason = "the coupled solver, which takes the steps, factorises all unknowns"
         if options.coarse != "direct" and reason is not None:
-            message = f"coarse = {options.coarse!r} of the solver has no effect: {reason}"
+            message = f"coarse = {options.coarse!r} of the solver has no effect, since {reason}"
             self.ranks.warn(message, InputWarning, stacklevel=5)
         return newton
 

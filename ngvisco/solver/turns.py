@@ -105,5 +105,5 @@ def chosen_method(step: Step, options: NewtonOptions) -> str:
         return "coupled"
     obstacle = split_obstacle(step, ranks)
     if is_chosen and obstacle is not None:
-        raise ParameterError("NewtonOptions.method", options.method, f"'coupled': {obstacle}")
+        raise ParameterError("NewtonOptions.method", options.method, f"'coupled', since {obstacle}")
     return "split" if obstacle is None else "coupled"

@@ -47,7 +47,9 @@ def connected(scheduler: str | None, workers: int) -> Iterator[Any]:
             distributed.comm.parse_host_port(place)
         client = distributed.Client(scheduler, timeout=_CONNECT, set_as_default=False)
     except (OSError, ValueError) as error:
-        message = f"--scheduler {scheduler}: expected the address of a dask scheduler, as tcp://host:8786"
+        message = (
+            f"--scheduler {scheduler}: expected the address of a dask scheduler, such as tcp://host:8786"
+        )
         raise SweepError(f"{message} ({error})") from error
     with client:
         _check_workers(client, scheduler)

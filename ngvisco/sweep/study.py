@@ -123,11 +123,13 @@ class Study:
         self.table = self.directory / "sweep.csv"
         self.force = force
         if RunDirectory(self.directory).case_file.exists():
-            raise SweepError(f"{self.directory}: this is a run directory; choose another one for the study")
+            raise SweepError(
+                f"{self.directory}: this is a run directory; choose another directory for the study"
+            )
         chosen = combinations(variations)
         fixed = {setting.partition("=")[0].strip() for setting in settings}
         if twice := fixed & set(chosen[0].values):
-            raise SweepError(f"{min(twice)}: expected --set or --vary, but the key is in both")
+            raise SweepError(f"{min(twice)}: expected --set or --vary, but the key is in both options")
         self.cases = [load_case(path, [*settings, *variation.settings]) for variation in chosen]
         names: dict[str, str] = {}
         for variation, case in zip(chosen, self.cases, strict=True):
@@ -147,8 +149,8 @@ class Study:
                 continue
             if not place.case_file.exists() or place.case().resolved != case.resolved:
                 raise SweepError(
-                    f"{place.path}: expected a run of this study, but it has the results of another case; "
-                    "choose another directory, or run all anew with --force"
+                    f"{place.path}: expected a run of this study, but this directory has the results of "
+                    "another case; choose another directory, or run all anew with --force"
                 )
             outcome.read(place, case)
         _build([self.cases[number] for number in self.unfinished])

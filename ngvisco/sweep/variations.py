@@ -69,7 +69,7 @@ def _parted(values: str, text: str) -> list[str]:
             continue
         parts[-1] += character
     if quote or closing:
-        raise SweepError(f"--vary {text}: expected {quote or closing[-1]!r} before its end")
+        raise SweepError(f"--vary {text}: expected {quote or closing[-1]!r} before the end of the values")
     return [part.strip() for part in parts]
 
 
@@ -89,7 +89,7 @@ def combinations(variations: Sequence[Variation]) -> list[Combination]:
     """
     keys = [variation.key for variation in variations]
     if not keys:
-        raise SweepError("nothing to vary: expected --vary key.path=value,value,...")
+        raise SweepError("there is nothing to vary; expected --vary key.path=value,value,...")
     for key in keys:
         if keys.count(key) > 1:
             raise SweepError(

@@ -164,7 +164,7 @@ class Integrator:
                 result = replace(result, rates=result.rates | rates, numerical=result.numerical | numerical)
             for name, value in (result.rates | result.numerical).items():
                 if not math.isfinite(value):
-                    raise StepError(f"{name} of the step is {value}: take a smaller step or a finer mesh")
+                    raise StepError(f"{name} of the step is {value}; take a smaller step or a finer mesh")
             return replace(result, unsolved=sum(getattr(field, "unsolved", 0) for field in self.carried))
         except BaseException as error:  # an interrupt, too, must not leave half a step behind
             self.undo()
@@ -258,7 +258,7 @@ class Integrator:
         if not is_stage:
             step.moving_walls.set_present_values()
         if (reason := self.bounds.defect(is_solved=False)) is not None:
-            raise StepError(f"{reason} at the end of the step: take a smaller step or a finer mesh")
+            raise StepError(f"{reason} at the end of the step; take a smaller step or a finer mesh")
         before = np.zeros_like(self._velocity.v)
         if self.bounds.limits and self.bounds.is_exceeded() and not is_stage:
             before = self._impulse_before_limiting(before)
@@ -326,7 +326,7 @@ class Integrator:
                 return StepTaken(omega * length, history, rates, numerical, limited, self.impulse)
             length = tau / omega
             self.rothe.return_to(self._before)
-        raise StepError("no relaxed step ends at the given time: take a smaller step")
+        raise StepError("no relaxed step ends at the given time; take a smaller step")
 
     def _relaxed_end(
         self, states: Sequence[Evolved], t: float, span: float, rates: dict[str, float], share: float | None
@@ -361,8 +361,8 @@ class Integrator:
                 )
             except ValueError as error:
                 message = (
-                    "no length of the relaxed step is without numerical dissipation, for example at a kink "
-                    "of a load or a wall's velocity: take smaller steps, or no relaxation"
+                    "a relaxed step of any length has numerical dissipation, for example since a load or a "
+                    "wall's velocity has a kink; take smaller steps, or no relaxation"
                 )
                 raise StepError(message) from error
             if share is not None and abs(omega - share) <= noise / distance:

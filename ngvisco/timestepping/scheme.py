@@ -61,7 +61,9 @@ class TimeScheme:
         A, s = tuple(tuple(as_numbers("TimeScheme.A", row)) for row in rows), len(b)
         is_square = s > 0 and [len(row) for row in A] == s * [s]
         if not is_square or np.triu(A, 1).any() or min(np.diag(A)) <= 0:
-            expected = "rows of numbers, lower triangular with a positive diagonal, one for each weight of b"
+            expected = (
+                "a lower triangular matrix with a positive diagonal, and with one row for each weight of b"
+            )
             raise ParameterError("TimeScheme.A", self.A, expected)
         # tuples of floats compare equal to a checkpoint's
         object.__setattr__(self, "A", A)
@@ -169,7 +171,7 @@ def theta_scheme(theta: float) -> TimeScheme:
     none for a larger one.
     """
     if not (as_number(theta) is not None and 0.5 <= theta <= 1.0):
-        raise ParameterError("theta", theta, "a number in [1/2, 1]: 1/2 is midpoint, 1 backward-euler")
+        raise ParameterError("theta", theta, "a number in [1/2, 1] (1/2 is midpoint, 1 is backward-euler)")
     return TimeScheme("theta", ((float(theta),),), (1.0,))
 
 

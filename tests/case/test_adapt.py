@@ -65,7 +65,7 @@ def test_check_says_that_the_sizes_are_those_of_the_start(tmp_path, capsys):
     said = capsys.readouterr().out
     coarse, start = case(tmp_path).mesh().ne, int(re.search(r"mesh +(\d+) cells", said)[1])
     assert coarse < start < 4 * coarse
-    assert f"by velocity, anew every 0.2 s: from {coarse} cells to about {4 * coarse};" in said
+    assert f"every 0.2 s, by velocity; the mesh has from {coarse} to about {4 * coarse} cells" in said
 
 
 def test_another_run_takes_over_its_last_state(tmp_path):

@@ -64,13 +64,14 @@ ONE | density = 1 -> velocity = ["t*y", 0]
   | initial.velocity: ['t*y', 0]: expected a function of the place alone
 ONE | density = 1 -> density = 1e-300 | initial.density: 1e-300: expected a finite number from 1e-60
 ONE | density = 1 -> density = "1e-300"
-  | initial density rho_0: 1e-300 to 1e-300; expected kg/m^3 from 1e-30
+  | initial density rho_0: the values are from 1e-300 to 1e-300; expected values from 1e-30
 ONE | K_e = 10 -> K_e = 1e-300 | material.K_e: 1e-300: expected a finite number from 1e-60
 ONE | + [rheology.creep]; G_m = inf | rheology.creep.G_m: inf: expected a finite number
 ONE | g = [0, -1] -> g = [[0, -1]] | loads.0.g: [[0, -1]]: expected an array of components
 ONE | g = [0, -1] -> g = [[0], [-1]] | loads.0.g: [[0], [-1]]: expected an array of components
 ONE | density = 1 -> density = [[1]] | initial.density: [[1]]: expected a number, or an expression
-ONE | + [output]; passive = ["creep_strain"] | output.passive: 'creep_strain': expected a model with creep
+ONE | + [output]; passive = ["creep_strain"]
+  | output.passive: 'creep_strain': expected no creep strain in a model
 ONE | + [output.bodies]; every = 2 | output.bodies: { every = 2 }: expected no such table
 ONE | + [output.vtk]; fields = [] | output.vtk.fields: []: expected at least one
 ONE | + [[output.probes]]; name = "a"; point = [0.5, 0.5]; fields = []
@@ -83,13 +84,14 @@ TWO | LAW_OF_DISC -> kind = "Custom", variables = ["J"], energy = "0*J + 1"
 # what was blamed on something else
 ONE | [[loads]] -> [loads] | loads: { kind = "Gravity", g = [0, -1] }: expected an array of tables, [[loads]]
 ONE | g = [0, -1] -> g = -1 | loads.0.g: -1: expected an array of components
-ONE | K_e = 10 -> K_e = "10*x" | material.K_e: '10*x': at the start minimum
-ONE | G_v = 0.01 -> G_v = "x - 2" | rheology.viscosity.G_v: 'x - 2': at the start minimum -2
-TWO | K_e = 10, G_e = 5 -> K_e = 10, G_e = "x - 1" | bodies.1.material.G_e: 'x - 1': at the start minimum -1
+ONE | K_e = 10 -> K_e = "10*x" | material.K_e: '10*x': at the start the minimum is
+ONE | G_v = 0.01 -> G_v = "x - 2" | rheology.viscosity.G_v: 'x - 2': at the start the minimum is -2
+TWO | K_e = 10, G_e = 5 -> K_e = 10, G_e = "x - 1"
+  | bodies.1.material.G_e: 'x - 1': at the start the minimum is -1
 ONE | + [rheology.hyperviscosity]; mu = 1; p = "4" | rheology.hyperviscosity.p: '4': expected a number
 ONE | + [rheology.regularisation]; delta_density = 1; r = "4"
   | rheology.regularisation.r: '4': expected a number
-ONE | density = 1 -> values = { J = -1 } | initial.values.J: initial projected J_0: minimum -1
+ONE | density = 1 -> values = { J = -1 } | initial.values.J: initial projected J_0: the minimum is -1
 ONE | g = [0, -1] -> g = [0, -1]; name = "a b" | loads.0.name: 'a b': expected a name of letters
 ONE | + [[loads]]; kind = "Gravity"; g = [0, 1] | loads.1.name: 'gravity': expected a name that no other
 ONE | + [[loads]]; kind = "CentralGravity"; strength = 1; name = "q"; centre = [0, 0, 0]
@@ -97,7 +99,7 @@ ONE | + [[loads]]; kind = "CentralGravity"; strength = 1; name = "q"; centre = [
 TWO | density = 2.0 -> density = 1e30 | bodies.1.density: 1e+30: expected at most 1e+10 times that of 'rest'
 TWO | radius = 0.2 -> radius = 0.001
   | bodies.1.where: { kind = "Ball", centre = [0.6, 0.5], radius = 0.001 }: expected a place within the
-  domain, no thinner than 1/4 of the cells there
+  domain that is at least 1/4 of a cell thick
 TWO | BALL -> "x > -1" | bodies.1.where: 'x > -1': expected a smaller place
 TWO | name = "rest" -> name = "rest"; where = "x < 0.2"; order = 1
   | bodies: ['rest', 'disc']: expected one body without a place, for the rest
@@ -112,19 +114,19 @@ TWO | kind = "Ball" -> kind = "Bal" | bodies.1.where.kind: 'Bal': expected one o
 TWO | radius = 0.2 -> radius = -1 | bodies.1.where.radius: -1.0: expected a finite number > 0
 TWO | G_e = 5 -> G_e = -5 | bodies.1.material.G_e: -5.0: expected a finite number > 0
 TWO | BALL -> "x <" | bodies.1.where: 'x <': the text is not an expression, at character
-TWO | BALL -> "x < t" | expected a condition on the place (x, y, z) alone
+TWO | BALL -> "x < t" | expected a condition that reads only x, y and z
 TWO | BALL -> [] | bodies.1.where: []: expected at least one shape
 TWO | BALL -> 3 | bodies.1.where: 3: expected a table
-TWO | until = 0.04 -> until = 0.04; [rheology.creep]; G_m = 1 | no such table beside [[bodies]]
+TWO | until = 0.04 -> until = 0.04; [rheology.creep]; G_m = 1 | no such table if there are [[bodies]]
 TWO | until = 0.04 -> until = 0.04; [material]; kind = "LinearElastic"; K_e = 1; G_e = 1
-  | no table [material] beside
+  | no table [material] if there are [[bodies]]
 ONE | [material]; LAW ->  | material: is missing: expected a table [material], or bodies
 ONE | K_e = 10 -> K_e = "10 + 5*t" | material.K_e: '10 + 5*t': expected a number, or an expression of
 ONE | K_e = 10 -> K_e = true | material.K_e: true: expected a number, or an expression
 ONE | K_e = 10 -> K_e = [1, 2] | material.K_e: [1, 2]: expected a number, or an expression
 # what was said in Python's words
 TWO | until = 0.04 -> until = 0.04; [initial]; density = 2
-  | initial.density: 2: expected nothing with bodies
+  | initial.density: 2: expected nothing, since each body has a density
 ONE | density = 1 -> temperature = 300
   | initial.temperature: 300: expected nothing for a material without a temperature; material.thermal gives a
 ONE | density = 1 -> F = 1.1 | initial.F: 1.1: expected three rows of three, as in
@@ -146,7 +148,7 @@ ONE | + [[output.integrals]]; name = "a"; of = "G"
 ONE | maxh = 0.5 -> maxh = 0.5; periodic = true | domain.periodic: true: expected a text in quotes
 ONE | maxh = 0.5 -> maxh = 0.5; periodic = ["x", 3] | domain.periodic.1: 3: expected a text in quotes
 # what hung
-ONE | K_e = 10 -> K_e = "10 Pa**9**9**9" | material.K_e: '10 Pa**9**9**9': 'Pa**9**9**9' is no unit
+ONE | K_e = 10 -> K_e = "10 Pa**9**9**9" | material.K_e: '10 Pa**9**9**9': 'Pa**9**9**9' is not a unit
 ONE | dt = 0.02 -> dt = "2 s*99999999999**9999999999" | time.dt: '2 s*99999999999**9999999999':
 ONE | LAW -> OWN "norm2(inv(inv(inv(inv(inv(inv(F)))))))"
   | 1e+05 operations when its powers are written out; expected at most 5000
@@ -221,7 +223,7 @@ def test_a_pipe_is_no_case_file(tmp_path):
     found = []
 
     def read():
-        with pytest.raises(CaseError, match="a pipe or a device, and no file"):
+        with pytest.raises(CaseError, match="a pipe or a device; expected a file"):
             nv.load_case(tmp_path / "case.toml")
         found.append(True)
 

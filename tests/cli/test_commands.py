@@ -100,14 +100,14 @@ def test_check_reports_and_writes_nothing(case_file, capsys, monkeypatch):
     printed = capsys.readouterr().out
     for pattern in (
         r"\d+ cells",
-        r"carried +F, J: elastic_state = 'F', the default, as there is no creep, and m >= 1",
+        r"carried +F, J, by the default elastic_state = 'F', since there is no creep, and m >= 1",
         r"unknowns +\d+",
         r"4 steps of 0.02 s",
         r"scales +L 1 m, h 0\.\d+ m, v [\d.]+ m/s so far, waves 4.84 and 3.16 m/s",
         r"Reynolds, rho v L/G_v +\d+",
         r"advice +shear waves cross the domain in 0.32 s, 16 steps",
         r"memory +\d+ MB",
-        r"s a step, .* in all, after \S+ s of set-up, and 0\.\d+ s for 2 files of fields \(by its first 4\)",
+        r"s a step, .* in all, after \S+ s of set-up, and 0\.\d+ s for 2 files of fields \(from 4 measured",
     ):
         assert re.search(pattern, printed), pattern
     for every, files in ((2, 3), (3, 3), (4, 2)):  # in 4 steps: the start, every so many steps, and the end
@@ -132,7 +132,7 @@ def test_check_counts_steps_that_a_run_chooses_by_the_longest_one(case_file, cap
     assert ended("check", case_file, *words) == 0
     printed = capsys.readouterr().out
     for pattern in (
-        r"adaptive steps to t = 1 s, the first 1e-06 s long; at least 20, if all have dt_max = 0.05 s",
+        r"adaptive steps to t = 1 s, the first 1e-06 s long; the least number of steps is 20, ",
         r"scales +domain 1 to 2 m",
         r"in all, after .* of set-up, and .* for each file of fields, "
         r"if all steps had the length dt_max; the present length is ",
@@ -163,8 +163,8 @@ until = 0.02
     (tmp_path / "bar.toml").write_text(case)
     assert ended("check", tmp_path / "bar.toml") == 0
     said = capsys.readouterr().err
-    assert said.count("at 'left' T(I) = 15.0005 Pa, given 0 Pa, difference 15 Pa") == count
-    assert said.count("stress of its own at rest") == count
+    assert said.count("at 'left' T(I) is 15.0005 Pa, the given stress 0 Pa, the difference 15 Pa") == count
+    assert said.count("stress of the matter at rest") == count
 
 
 @pytest.mark.long
@@ -206,10 +206,10 @@ def test_progress_bar_says_why_a_step_was_rejected_and_what_was_limited(capsys):
     bar = ProgressBar(0.04)
     bar._set_out(simulation)
     bar.step(simulation, row)
-    bar.rejected(simulation, Rejection(0.02, 0.02, "stalled; taken in parts of 0.01 s"))
+    bar.rejected(simulation, Rejection(0.02, 0.02, "stalled; the step is taken in parts of 0.01 s"))
     out = capsys.readouterr().out
     assert "step 1  " in out and "limited 3 cells" in out
-    assert "rejected dt 0.02 s at t 0.02 s: stalled; taken in parts of 0.01 s\n" in out
+    assert "rejected dt 0.02 s at t 0.02 s: stalled; the step is taken in parts of 0.01 s\n" in out
 
 
 @pytest.mark.parametrize(
@@ -218,7 +218,7 @@ def test_progress_bar_says_why_a_step_was_rejected_and_what_was_limited(capsys):
         ((), "required: COMMAND"),
         (("frobnicate",), "invalid choice"),
         (("run",), "required: CASE"),
-        (("run", "missing.toml"), "missing.toml: cannot be read"),
+        (("run", "missing.toml"), "missing.toml: the file cannot be read"),
         (("run", "CASE", "--set", "nonsense"), "expected key.path=value"),
         (("run", "CASE", "--set", "time.until=-1"), "time.until (set on the command line): -1.0"),
         (("run", "CASE", "--threads", "0"), "expected a whole number >= 1"),
@@ -227,7 +227,7 @@ def test_progress_bar_says_why_a_step_was_rejected_and_what_was_limited(capsys):
         (("resume", "EMPTY"), "not a run directory"),
         (
             ("resume", "RUN", "--until", "soon"),
-            "'soon' is no number, nor a number with its unit",
+            "'soon' is neither a number nor a number with a unit",
         ),
         (("resume", "RUN", "--until", "nan"), "--until = 'nan'"),
         (
@@ -239,7 +239,7 @@ def test_progress_bar_says_why_a_step_was_rejected_and_what_was_limited(capsys):
             "time.until (set on the command line): 0.04: expected a time",
         ),
         (("resume", "RUN", "--until", "0.085"), "--until = '0.085': expected a multiple of dt"),
-        (("resume", "RUN", "--until", "2 m"), "'m' has not the dimension of s"),
+        (("resume", "RUN", "--until", "2 m"), "'m' does not have the dimension of s"),
         (("info", "EMPTY"), "not a run directory"),
         (("plot", "EMPTY"), "not a run directory"),
         (
@@ -252,9 +252,9 @@ def test_progress_bar_says_why_a_step_was_rejected_and_what_was_limited(capsys):
         ),
         (
             ("plot", "RUN", "--movie", "--step", "4"),
-            "ngvisco: --step = 4: expected no such option beside --movie",
+            "ngvisco: --step = 4: expected no such option together with --movie",
         ),
-        (("plot", "RUN", "--fps", "5"), "ngvisco: --fps = 5.0: expected the option --movie"),
+        (("plot", "RUN", "--fps", "5"), "ngvisco: --fps = 5.0: expected --fps only together with --movie"),
         (("plot", "RUN", "-o", ""), "-o/--output: '': the name is empty; expected a directory"),
         (
             ("gradient", "CASE", "--by", "material.G_e", "--of", "kinetic at 9"),
@@ -272,7 +272,10 @@ def test_progress_bar_says_why_a_step_was_rejected_and_what_was_limited(capsys):
             ("gradient", "CASE", "--by", "domain.maxh", "--of", "kinetic at 0"),
             "--by = 'domain.maxh': expected the key of a number in bodies, initial, loads",
         ),
-        (("run", "CASE", "--from", "nowhere"), "ngvisco: --from = 'nowhere': nowhere: no such directory"),
+        (
+            ("run", "CASE", "--from", "nowhere"),
+            "ngvisco: --from = 'nowhere': nowhere: this directory does not exist",
+        ),
         (("sweep", "CASE", "--vary", "time.dt=0.01,0.02", "-o", "RUN"), "this is a run directory"),
         (
             ("resume", "RUN", "--set", "time.dt=0.03", "--until", "0.11"),
@@ -295,7 +298,7 @@ def test_wrong_input_is_explained_with_exit_code_2(words, message, case_file, fi
 
 def test_a_missing_checkpoint_is_explained_with_exit_code_3(finished, capsys):
     assert ended("plot", finished, "--step", 1) == 3
-    message = f"--step = 1: {finished / 'run.h5'}: no checkpoint of step 1 (there are 3, 4)"
+    message = f"--step = 1: {finished / 'run.h5'}: there is no checkpoint of step 1, only of 3, 4"
     assert message in capsys.readouterr().err
 
 

@@ -88,7 +88,9 @@ def test_an_end_with_its_unit_may_miss_a_step_by_rounding_and_steps_are_counted_
     code, out, err = command("resume", half, "--until", "80.0001 ms")
     assert code == DONE, err
     assert "2 steps of 0.02 s" in out and "step     3/4 " in out and "step     4/4 " in out
-    assert "until 0.0800001 s: 0.08 s, the nearest end of a step" in (half / "log.txt").read_text()
+    assert (
+        "the run ends at 0.08 s, the end of a step nearest to 0.0800001 s" in (half / "log.txt").read_text()
+    )
     assert_same_run(half, finished)
 
 
@@ -147,7 +149,7 @@ def test_a_run_that_has_lost_its_checkpoints_is_not_begun_anew(half):
     (half / "run.h5").unlink()
     before = (half / "ledger.csv").read_bytes()
     code, _, err = command("resume", half, "--until", 0.08)
-    assert code == BAD_INPUT and "run.h5: missing" in err and "ngvisco run" in err
+    assert code == BAD_INPUT and "run.h5: this file is missing" in err and "ngvisco run" in err
     assert (half / "ledger.csv").read_bytes() == before
 
 
@@ -207,7 +209,7 @@ def test_only_the_checksummed_is_read_of_a_run_file_without_parts(half):
             if group == "checkpoints":
                 file.create_group(group)
         code, _, err = command("resume", half, "--until", 0.08)
-        assert code == BAD_FILE and ("holds no checkpoint" in err or "ledger is damaged" in err)
+        assert code == BAD_FILE and ("the file has no checkpoint" in err or "ledger is damaged" in err)
         path.write_bytes(whole)
 
 

@@ -151,13 +151,13 @@ def test_a_fit_prints_no_command_for_values_without_keys(case, tmp_path):
     words = ("--by", "material.branches.mode_1.creep.G_m", "--set", series, "--set", "time.until=0.04")
     code, out, err = command("fit", case, tmp_path / "data.csv", *words, "--quiet", "-o", tmp_path / "fit")
     assert code == 0, err
-    assert "The case has no keys for these values" in out and "ngvisco run" not in out
+    assert "The case cannot take these values" in out and "ngvisco run" not in out
 
 
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--bounds", "material.G_e=1 s,2 s"], "has not the dimension of Pa"),
+        (["--bounds", "material.G_e=1 s,2 s"], "does not have the dimension of Pa"),
         (["--sigma", "x"], "COLUMN=NUMBER"),
         (["--bounds", "material.G_e=1"], "KEY=LOW,HIGH"),
         (

@@ -404,9 +404,7 @@ def test_steps_that_carry_an_interface_too_far_are_named_once(dt, times):
         strip_off("midpoint", dt)
     said = [str(w.message) for w in caught if "Discretisation.sharp" in str(w.message)]
     assert len(said) == times
-    assert all(
-        "over 1 of a cell's height" in text and "take dt or dt_max <= 0.079 s" in text for text in said
-    )
+    assert all("by 1 heights of a cell" in text and "Take dt or dt_max <= 0.079 s" in text for text in said)
 
 
 def test_cells_that_a_step_passes_stay_as_they_are():

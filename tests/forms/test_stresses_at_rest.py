@@ -35,7 +35,7 @@ def between(material, F=None, bodies=None, **wall):
 
 def differences(warned):
     """T(I), the given stress and their difference, Pa, at each wall that a warning names."""
-    numbers = r"at '(\w+)' T\(I\) = (\S+) Pa, given (\S+) Pa, difference ([\d.e+-]+) Pa"
+    numbers = r"at '(\w+)' T\(I\) is (\S+) Pa, the given stress (\S+) Pa, the difference ([\d.e+-]+) Pa"
     matches = [match for warning in warned for match in re.findall(numbers, str(warning.message))]
     return {name: tuple(map(float, values)) for name, *values in matches}
 
@@ -90,7 +90,7 @@ def test_what_dashpots_and_springs_bear_at_the_start_counts(resists, recwarn):
 
 
 def test_one_per_cent_of_the_stress_at_rest_is_the_bound():
-    with pytest.warns(nv.InputWarning, match="stress of its own at rest"):
+    with pytest.warns(nv.InputWarning, match="stress of the matter at rest"):
         between(PAPER["B"], pressure=-AT_REST * 1.011)
 
 

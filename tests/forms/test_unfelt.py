@@ -69,10 +69,10 @@ def bodies(of_disc, of_rest):
 @pytest.mark.parametrize(
     ("laws", "whose"),
     [
-        ({}, "a viscosity of shear: with"),
-        ({"viscosity": nv.StokesViscosity(K_v=1.0, G_v=0.0)}, "a viscosity of shear: with"),
-        ({"creep": nv.Creep(G_m=1.0)}, "a viscosity of shear: with"),
-        (bodies(FAINT, None), "a viscosity of shear of the body 'rest': with"),
+        ({}, "a shear viscosity, since with"),
+        ({"viscosity": nv.StokesViscosity(K_v=1.0, G_v=0.0)}, "a shear viscosity, since with"),
+        ({"creep": nv.Creep(G_m=1.0)}, "a shear viscosity, since with"),
+        (bodies(FAINT, None), "a shear viscosity of the body 'rest', since with"),
     ],
 )
 def test_motion_that_nothing_holds_is_refused_with_the_remedy(k, m, laws, whose):

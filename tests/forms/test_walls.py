@@ -92,7 +92,7 @@ def test_one_name_for_walls_of_two_directions_is_not_axis_parallel() -> None:
 @pytest.mark.parametrize("kind", ["hexahedra", "prisms"])
 def test_cells_without_spaces_are_refused(kind) -> None:
     mesh = MakeStructured3DMesh(hexes=kind == "hexahedra", prism=kind == "prisms", nx=1)
-    with pytest.raises(MeshError, match=f"cells of the types {kind}: expected triangles"):
+    with pytest.raises(MeshError, match=f"cells of the types {kind}; expected triangles"):
         check_mesh(mesh)
 
 
@@ -155,7 +155,7 @@ def test_a_surface_mesh_is_refused() -> None:
 
 
 def test_a_one_dimensional_mesh_is_refused() -> None:
-    with pytest.raises(MeshError, match="dimension 1: expected 2"):
+    with pytest.raises(MeshError, match="dimension 1; expected 2"):
         check_mesh(Make1DMesh(3))
 
 

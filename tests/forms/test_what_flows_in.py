@@ -80,7 +80,7 @@ def test_heat_is_carried_through(solver):
 @pytest.mark.parametrize(
     ("wall", "message"),
     [
-        ({"amounts": {"medium": 1.0}, "density": 1.0}, "density = 1.0: expected none with bodies"),
+        ({"amounts": {"medium": 1.0}, "density": 1.0}, "density = 1.0: expected no density with bodies"),
         ({"amounts": {"medium": -1.0}}, r"amounts.*expected the sum of the amounts > 0|>= 0"),
         ({"amounts": {"medium": 1.0, "disc": -0.1}}, r"amounts\['disc'\] = .*>= 0"),
         ({"amounts": {"medium": 1.0}, "values": {"n_disc": 0.1}}, r"'disc' in walls"),
@@ -193,7 +193,7 @@ def test_stresses_that_differ_are_warned_of_in_slow_straining(given, recwarn):
     ledger, warned = run.run(2.5), [w for w in recwarn if issubclass(w.category, nv.InflowWarning)]
     assert len(warned) == (given == "rest")
     if warned:
-        pattern = r"with the given values of E .* deviators differ by (\S+) Pa, with (\S+) Pa at the wall"
+        pattern = r"with the given values of E .* deviators differ by (\S+) Pa, of (\S+) Pa at the wall"
         message = str(warned[0].message)
         difference, size = map(float, re.search(pattern, message).groups())
         t = float(re.search(r"at t = (\S+) s ", message)[1])
@@ -670,6 +670,6 @@ def test_a_slope_does_not_go_on_beyond_an_inlet(m, solver):
 
 
 def test_a_volume_that_flows_in_needs_its_density():
-    with pytest.raises(nv.ParameterError, match=r"density = None: .*beside a volume"):
+    with pytest.raises(nv.ParameterError, match=r"density = None: .*the values contain a volume"):
         walls = {"right": nv.Open(values={"J": 1.1})}
         nv.Simulation(box((1, 1), 0.5), nv.Model(material=FLUID), dt=0.1, walls=walls)

@@ -49,7 +49,10 @@ def test_a_missing_package_is_named(capsys, monkeypatch):
 
 
 def test_info_is_of_a_directory_or_of_the_installation(capsys, tmp_path):
-    expected = {(): "a run directory, or --parallel", (str(tmp_path), "--parallel"): "none beside --parallel"}
+    expected = {
+        (): "a run directory, or --parallel",
+        (str(tmp_path), "--parallel"): "no directory together with --parallel",
+    }
     for words, message in expected.items():
         assert main(["info", *words]) == 2
         assert message in capsys.readouterr().err

@@ -172,7 +172,7 @@ class Powerless(nv.FlowRule):
     ("rule", "field"),
     [
         (Odd(sign=-1.0), "Odd.rate.*M : Pi >= 0"),
-        (Odd(trace=1.0), "Odd.rate.*tr Pi = 0"),
+        (Odd(trace=1.0), "Odd.rate.*expected 0 for the trace of Pi"),
         (Odd(nu=1.0, factor=2.0), "Odd.psi.*psi'"),
         (Powerless(), "Powerless.nu.*no potential"),
     ],

@@ -254,6 +254,8 @@ def test_heat_goes_around_damage_and_the_other_orders_are_refused():
     with pytest.raises(nv.ParameterError, match=r"Thermal\.expansion = 0\.01.*part=.all"):
         breaking(part="tensile")
     broken = nv.Damaged(material=RUBBER, G_c=0.1, length=0.5)
-    with pytest.raises(nv.ParameterError, match=r"Thermal\.gruneisen = 0\.4.*given by expansion"):
+    with pytest.raises(
+        nv.ParameterError, match=r"Thermal\.gruneisen = 0\.4.*expansion gives the thermal stress"
+    ):
         nv.Thermal(material=broken, c=C_V, theta_R=WARM, gruneisen=0.4)
     assert nv.Thermal(material=broken, c=C_V, theta_R=WARM).material is broken  # no thermal stress

@@ -79,7 +79,7 @@ def changed(at, by):
         (changed((0, 1, 2, 2), 0.1), "tensor", r"D_ijkl = D_jikl"),
         (changed((0, 0, 1, 2), 0.1), "tensor", r"D_ijkl = D_ijlk"),
         (changed((0, 0, 1, 1), 0.1), "tensor", r"at 1122': expected D_ijkl = D_klij"),
-        (MANDEL + np.eye(6, k=1), "mandel", "a symmetric D; the opposite entry is"),
+        (MANDEL + np.eye(6, k=1), "mandel", "a symmetric D, but the opposite entry is"),
         (np.eye(6) - 0.5 * np.outer(TRACE, TRACE), "mandel", "the value is -0.5 for e_11"),
         (np.eye(3), "mandel", r"6x6 finite numbers"),
         (np.eye(6), "tensor", r"3x3x3x3 finite numbers"),

@@ -219,12 +219,12 @@ class SharesOnly:
         (lambda: [disc(where=nv.Ball((3.0, 3.0), 0.2)), rest()], r"disc'\].where.*within the domain"),
         (lambda: [disc(), disc(name="over", where=nv.Ball((0.5, 0.5), 0.2)), rest()], r"'over'\].order"),
         (lambda: [disc()], "in no body"),
-        (lambda: [rest(order=1), disc()], r"bodies\['rest'\].order.*below all others"),
+        (lambda: [rest(order=1), disc()], r"bodies\['rest'\].order.*what all other bodies leave"),
         (lambda: [disc(where=CF(1.0) + 0 * x), rest()], r"bodies\['disc'\].where.*a smaller place"),
         (lambda: [disc(), rest(material=nv.NeoHookean(K_e=1.0, G_e=1.0, epsilon=0.1))], "per reference"),
-        (lambda: [disc(), rest(material=nv.LinearElastic(K_e=1.0, G_e=1.0))], "'E'; at small strains"),
+        (lambda: [disc(), rest(material=nv.LinearElastic(K_e=1.0, G_e=1.0))], "of these. At small strains"),
         (lambda: [disc(material=BY_F), rest()], r"bodies\['disc'\].material.*elastic_state"),
-        (lambda: [disc(material=VARIED), rest()], "a bulk modulus that is a number"),
+        (lambda: [disc(material=VARIED), rest()], "a material whose bulk modulus is a number"),
         (lambda: [disc(material=nv.Yosida(material=SOLID, eps=0.01)), rest()], "Yosida approximation"),
         (lambda: [disc(material=BY_J_MIN), rest()], "no J_min, since the continued energy"),
         (lambda: [disc(material=HOT_BREAKS), rest()], r"bodies\['disc'\].material.*does not give the damage"),
@@ -250,12 +250,15 @@ class Growth(PointTerm):
     ("options", "match"),
     [
         ({"viscosity": STOKES}, r"Model.viscosity.*None with bodies"),
-        ({"density": 1.0}, r"Initial.density.*None with bodies"),
-        ({"regularisation": nv.Regularisation(rho_max=2.0)}, "rho_max.* density is a sum"),
-        ({"regularisation": nv.Regularisation(delta_density=1e-3)}, "delta_density.* density is a sum"),
+        ({"density": 1.0}, r"Initial.density.*None, since each body has a density"),
+        ({"regularisation": nv.Regularisation(rho_max=2.0)}, "rho_max.* density of bodies is a sum"),
+        (
+            {"regularisation": nv.Regularisation(delta_density=1e-3)},
+            "delta_density.* density of bodies is a sum",
+        ),
         (
             {"terms": [Growth()], "solver": "coupled"},
-            r"Growth: the term has a row of rho, .* the density is the sum",
+            r"Growth has a row of rho, .* with bodies the density is not an unknown",
         ),
     ],
 )
@@ -275,7 +278,7 @@ def test_fields_of_bodies_diffuse_where_their_volumetric_energy_is_one():
         assert np.abs(masses(run) / start - 1).max() <= 1e-12
         assert run.ledger.rows[-1]["dissipation_delta_fields"] > 0
     soft = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: J - 2 + 1 / J)
-    with pytest.raises(nv.ParameterError, match=r"delta_fields.*several bodies: take one volumetric energy"):
+    with pytest.raises(nv.ParameterError, match=r"delta_fields.*several bodies take one volumetric energy"):
         small_run(bodies=[disc(), rest(material=soft)], **diffusing)
 
 

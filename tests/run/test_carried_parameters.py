@@ -164,7 +164,9 @@ def test_creep_that_gives_energy_by_a_modulus_that_overshoots_is_said_to_do_so()
     )
     mesh, time = box((1, 1), maxh=0.5), nv.TimeSteps(dt=0.02, limiter=False)
     run = nv.Simulation(mesh, model, time=time, initial=nv.Initial(velocity=SWIRL), solver="split")
-    with pytest.warns(nv.CreepPowerWarning, match=r"Creep\.G_m is -.* at a point: a parameter .* arithmetic"):
+    with pytest.warns(
+        nv.CreepPowerWarning, match=r"Creep\.G_m is -.* at a point, since a parameter .* arithmetic"
+    ):
         run.run(0.06)
 
 

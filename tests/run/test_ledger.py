@@ -248,7 +248,7 @@ def test_parts_of_a_run_are_judged_by_the_limits_of_their_own(
         return run.ledger.unclosed
 
     assert not part(1, 1.0)
-    with pytest.warns(nv.ClosureWarning, match="in 1 step: .* in step 2, .*the limit 1e-08"):
+    with pytest.warns(nv.ClosureWarning, match="in 1 step: .* in step 2 .*above the limit 1e-08"):
         part(2)
     monkeypatch.undo()
     assert "in 1 step: " in part(3) and "in 1 step: " in part(4, 1.0)

@@ -156,7 +156,7 @@ def test_a_movie_that_cannot_be_made_is_refused(written, tmp_path, path, fields,
 def test_a_damaged_file_of_a_series_is_refused(written, tmp_path, cut_at):
     whole = read_series_files(written[0])[0][1].read_bytes()
     (tmp_path / "a.vtu").write_bytes(whole[: int(cut_at * len(whole))])
-    with pytest.raises(nv.CheckpointError, match=r"a\.vtu: not a readable file"):
+    with pytest.raises(nv.CheckpointError, match=r"a\.vtu: this is not a readable file"):
         read_frame(tmp_path / "a.vtu")
 
 

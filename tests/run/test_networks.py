@@ -235,7 +235,7 @@ WRONG = {
     "no conformation": ({"a": Branch(material=NEO, creep=nv.Creep(G_m=1.0, law="leonov"))}, "conformation"),
     "branches of branches": ({"a": Branch(material=Network(branches={"b": SPRING}))}, "without branches"),
     "heat within": ({"a": Branch(material=HEATED["heat"](NEO))}, "without heat and damage"),
-    "no pressure": ({"a": Branch(material=nv.OldroydB(K_e=0.0, G_e=1.0))}, "has to bear pressure"),
+    "no pressure": ({"a": Branch(material=nv.OldroydB(K_e=0.0, G_e=1.0))}, "has to carry pressure"),
     "small and large": ({"a": SPRING, "b": Branch(material=nv.LinearElastic(K_e=1, G_e=1))}, "small strain"),
 }
 
@@ -266,7 +266,7 @@ def test_what_is_no_network_is_refused(name):
 def test_a_model_refuses_what_does_not_go_with_a_network():
     with pytest.raises(nv.ParameterError, match="whose branches have flow rules"):
         nv.Model(material=network(None), creep=nv.Creep(G_m=1.0))
-    with pytest.raises(nv.ParameterError, match=r"LinearElastic\.K_e = 0\.0: expected > 0"):
+    with pytest.raises(nv.ParameterError, match=r"LinearElastic\.K_e = 0\.0: expected a number > 0"):
         nv.Model(material=nv.LinearElastic(K_e=0.0, G_e=1.0))
     with pytest.raises(nv.ParameterError, match="> 0 with epsilon"):
         nv.ReferentialNeoHookean(K_e=0.0, G_e=1.0, epsilon=1.0)

@@ -73,7 +73,7 @@ def test_a_step_beyond_the_domain_is_refused_by_its_name(solver):
     with pytest.raises(nv.StepError) as caught:
         run.run(1.0)
     assert np.isfinite(run.ledger.column("stored")).all() and run.t < 1.0
-    assert "no number; the energy of B, J has values for room to stretch > 0 alone" in str(caught.value)
+    assert "not a number; the energy of B, J has values only where room to stretch > 0" in str(caught.value)
     furthest = largest(run, "B", lambda z: tr(z["B"]))
     assert furthest < 3 + STRETCH
     for told in (str(caught.value), str(caught.value.report).splitlines()[0]):
@@ -126,7 +126,7 @@ def test_start_values_out_of_the_domain_are_refused():
         ({"a": lambda B: 1 - tr(B)}, "a function of B, J"),
         ({"a": lambda B, J: J - 1}, "positive at rest"),
         ({"a": lambda B, J: x * J}, "reads the position"),
-        ({"a": lambda B, J: B[0, 0]}, "no rotation of the observer"),
+        ({"a": lambda B, J: B[0, 0]}, "the same for all observers"),
         ({"a": lambda B, J: (tr(B) - 3) * (tr(B) - 3) + J - 0.99}, "a convex set"),
     ],
 )
@@ -142,7 +142,7 @@ def test_bounds_of_a_body_are_refused_by_name():
         bounds={"room": lambda B, J: 9 - tr(B)},
     )
     body = nv.Body(name="foam", where=nv.Ball((0.5, 0.5), 0.2), material=foam, density=1)
-    with pytest.raises(nv.ParameterError, match="not for room > 0 alone"):
+    with pytest.raises(nv.ParameterError, match="has values only for room > 0"):
         nv.Model(bodies=[body, nv.Body(name="rest", material=foam, density=1)])
 
 

@@ -65,7 +65,9 @@ def test_both_are_taken_where_they_agree():
     ],
 )
 def test_a_density_that_contradicts_J_is_refused(material, initial):
-    with pytest.raises(nv.InitialDataError, match=r"rho_0 J_0 from .*expected rho_R = 2.5"):
+    with pytest.raises(
+        nv.InitialDataError, match=r"rho_0 J_0 is from .*expected rho_0 J_0 = rho_R, which is 2.5"
+    ):
         started(material, **initial)
 
 
@@ -90,7 +92,7 @@ def test_D_that_leaves_the_plane_is_refused_in_two_dimensions():
     D[0, 3] = D[3, 0] = 0.1
     law = nv.LinearViscosity(D=D, notation="voigt")
     model = nv.Model(material=FLUID, viscosity=law)
-    with pytest.raises(nv.ParameterError, match=r"LinearViscosity.D = .*no stress D_13kl, D_23kl"):
+    with pytest.raises(nv.ParameterError, match=r"LinearViscosity.D = .*D_13kl = D_23kl = 0"):
         nv.Simulation(MESH, model, dt=0.1)
     nv.Simulation(box((1, 1, 1), maxh=2), model, dt=0.1)
 
@@ -151,7 +153,7 @@ def test_hash_of_a_case_without_a_density_is_that_of_the_default():
 @pytest.mark.parametrize(
     ("setting", "words"),
     [
-        ('initial.values={J="1.1"}', ["initial.density", "rho_0 J_0 from 2.75"]),
+        ('initial.values={J="1.1"}', ["initial.density", "rho_0 J_0 is from 2.75"]),
         ("material.gamma=900", ["material.a", "finite"]),
         ("rheology.viscosity.D=[[1, 2], [3, 4]]", ["rheology.viscosity.D", "6x6"]),
         ("rheology.viscosity.D=[[1, 'a']]", ["rheology.viscosity.D", "not of 'a'"]),

@@ -108,13 +108,13 @@ Model(material=LINEAR, viscosity=_) | 1.0 | Model.viscosity | a Viscosity
 Model(material=LINEAR, hyperviscosity=_) | 1 | Model.hyperviscosity | a HyperVisc
 Model(material=LINEAR, creep=_) | 1.0 | Model.creep | a FlowRule
 Model(material=LINEAR, loads=_) | 9.81 | Model.loads | Gravity or BodyForce
-loaded(Gravity(_)) | (0, 0, -1), (1,) | loads['gravity'].g | a vector of length 2, not
-loaded(Gravity(_)) | 9.81 | loads['gravity'].g | a vector of length 2
+loaded(Gravity(_)) | (0, 0, -1), (1,) | loads['gravity'].g | a vector with 2 components, not
+loaded(Gravity(_)) | 9.81 | loads['gravity'].g | a vector with 2 components
 loaded(Gravity(_)) | (0, nan), "xy" | loads['gravity'].g | finite numbers
-loaded(BodyForce(_)) | (1, 2, 3), | loads['body_force'].force | a vector of length 2, not 3
-start(velocity=_) | (1, 0, 0), | Initial.velocity | a vector of length 2, not 3
+loaded(BodyForce(_)) | (1, 2, 3), | loads['body_force'].force | a vector with 2 components, not 3
+start(velocity=_) | (1, 0, 0), | Initial.velocity | a vector with 2 components, not 3
 start(velocity=_) | (nan, 0), | Initial.velocity | finite numbers
-start(velocity=_) | CF(1.0) | Initial.velocity | a vector of length 2, not 1
+start(velocity=_) | CF(1.0) | Initial.velocity | a vector with 2 components, not 1
 start(density=_) | "1", (), True | Initial.density | a number or a scalar
 start(density=_) | CF((1, 2)) | Initial.density | scalar
 start(F=_) | [1, 0, 0, 1], 1.0 | Initial.F | a 3x3 coefficient function
@@ -174,10 +174,10 @@ Thermal(material=_, c=3.0, theta_R=300.0) | 3 | Thermal.material | a Material
 Thermal(material=_, c=3.0, theta_R=300.0) | WARM | Thermal.material | a material without heat
 Thermal(material=_, c=3.0, theta_R=300.0) | Yosida(material=LINEAR, eps=1) | Thermal.material | put the Yosida
 Heat(conductivity=_) | -1.0, "much" | Heat.conductivity | number >= 0
-Heat(conductivity=_) | [[1, 1, 0], [0, 1, 0], [0, 0, 1]] | Heat.conductivity | a 3x3 matrix, symmetric
+Heat(conductivity=_) | [[1, 1, 0], [0, 1, 0], [0, 0, 1]] | Heat.conductivity | a symmetric 3x3 matrix
 Heat(source=_) | "hot" | Heat.source | a scalar function of the place and the time
 WallHeat(temperature=300.0, coefficient=_) | -1.0 | WallHeat.coefficient | a finite number >= 0
-WallHeat(temperature=300.0, coefficient=_) | None | WallHeat.coefficient | are given together
+WallHeat(temperature=300.0, coefficient=_) | None | WallHeat.coefficient | have to be given together
 WallHeat(temperature=_, coefficient=1.0) | 0.0 | WallHeat.temperature | a finite number > 0
 WallHeat(flux=_) | nan | WallHeat.flux | a finite number
 WallHeat(flux=_) | None | WallHeat.flux | or a share of the friction
@@ -230,7 +230,7 @@ OF_PLACES = """\
 box(_, 0.5) | (1e200, 1), | box.size | two or three lengths, each a length between
 box(_, 0.5) | 1.0, "ab" | box.size | two or three
 box((1, 1), 0.5, periodic=_) | "z" | box.periodic | some of x, y
-box((1, 1), 0.5, periodic=_) | ["x", "x"] | box.periodic | some of x, y, each once
+box((1, 1), 0.5, periodic=_) | ["x", "x"] | box.periodic | some of x, y, and none twice
 disc(_, 0.5) | -1 | disc.radius | a finite number > 0
 disc(_, 1e-7) | 1e-6 | disc.radius | take a smaller unit of length
 disc(1, 0.5, order=_) | 11, 2.5 | disc.order | an integer from 1 to 10
@@ -245,7 +245,7 @@ Ball((0, 0), _) | -1.0 | Ball.radius | a finite number > 0
 Ball(_, 1.0) | (0,), | Ball.centre | two or three finite numbers
 Ball(_, 1.0) | 0.5 | Ball.centre | two or three finite numbers
 Block((0, 0), _) | (1, 0), (1, 1, 1) | Block.high | coordinates above those of low
-HalfSpace((0, 0), _) | (0, 0), | HalfSpace.normal | a vector of length 2, not zero
+HalfSpace((0, 0), _) | (0, 0), | HalfSpace.normal | a nonzero vector with 2 components
 Polygon(_) | ((0, 0), (1, 1)), | Polygon.points | at least three points of two finite numbers
 """
 
@@ -266,7 +266,7 @@ def test_bad_parameter_is_named_with_its_value(make, value, field, expected):
 LISTS = """\
 CustomMaterial(transported=(), stored_energy=_) | lambda: CF(1) | CustomMaterial.variables | at least one
 CustomMaterial(transported=TWICE, stored_energy=_) | lambda F: F[0] | CustomMaterial.variables | distinct
-CustomMaterial(transported=K, stored_energy=_) | lambda K: -K | CustomMaterial.variables | 'A' too: the rate
+CustomMaterial(transported=K, stored_energy=_) | lambda K: -K | CustomMaterial.variables | also 'A', read by
 Composite(rules=_) | (3,), | Composite.rules | a sequence of FlowRule objects
 Heat(conductivity=_) | np.diag([1.0, 1.0, -1.0]) | Heat.conductivity | positive semidefinite
 Heat(conductivity=_) | lambda theta: 1 - theta | Heat.conductivity | a function of the temperature
@@ -276,8 +276,8 @@ box(_, 0.5) | (1, 1e-8), | box.size | at least 1e-06 of the domain's largest len
 annulus(1, _, 0.5) | 1 + 1e-9 | annulus.thickness | at least 1e-06 of the domain's largest length
 Polygon(_) | ((0, 0), (2, 0), (2, 1), (3, 0), (1, 0), (1, -1)), | Polygon.points | edges 1 and 4 overlap
 Polygon(_) | ((0, 0), (2, 0), (1, 0), (1, 1)), | Polygon.points | edges 1 and 2 overlap
-Polygon(_) | ((0, 0), (1, 1), (1, 0), (0, 1)), | Polygon.points | edges that do not cross; edges 1 and 3 cross
-Polygon(_) | ((0, 0), (0, 0), (1, 0), (0, 1)), | Polygon.points | points, each different from the point before
+Polygon(_) | ((0, 0), (1, 1), (1, 0), (0, 1)), | Polygon.points | but edges 1 and 3 cross
+Polygon(_) | ((0, 0), (0, 0), (1, 0), (0, 1)), | Polygon.points | that each differ from the point before
 Union(_) | ((),) | Union.shapes | at least one shape
 Union((Ball((0, 0), 1.0), _)) | 3 | Union.shapes | a sequence of Shape objects
 Where(_) | PAIR | Where.function | scalar
@@ -392,7 +392,7 @@ simulation().ledger.column(_) | None, 3, "a"
 def test_a_wrong_input_is_refused_by_a_typed_error(make, value):
     with pytest.raises(nv.NgviscoError) as error:
         made(make, eval(value, names()))
-    assert re.search("expected|known|no such|not a run|cannot be read", str(error.value))
+    assert re.search("expected|known|does not exist|not a run|cannot be read", str(error.value))
 
 
 NUMPY = """\

@@ -67,14 +67,14 @@ def test_a_failed_step_is_halved_recorded_and_grown_again(monkeypatch):
     assert ledger.column("dt").max() == 0.04  # grown back
 
 
-@pytest.mark.parametrize("why", ["too long", by_ci("its error")])
+@pytest.mark.parametrize("why", ["too long", by_ci("the error constant")])
 def test_a_rejected_step_leaves_no_trace(why, monkeypatch):
     """The state after a rejection is that of a run that took the short step at once."""
-    tolerance = 1e-3 if why == "its error" else None
+    tolerance = 1e-3 if why == "the error constant" else None
     stepping = nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.04, patience=9, tolerance=tolerance)
     run, short = simulation(stepping, dt=0.04), simulation(stepping, dt=0.02)
     run.observers.append(watch := Rejections())
-    if why == "its error":
+    if why == "the error constant":
         error = lambda self, t, _: 1.0 if t - self._times[-1] > 0.03 else None  # noqa: E731
         monkeypatch.setattr(ErrorEstimate, "__call__", error)
     else:
@@ -92,7 +92,7 @@ def test_below_the_minimum_the_run_ends_with_what_was_tried(tmp_path, monkeypatc
     files = [nv.LedgerCSV(tmp_path / "ledger.csv"), nv.Checkpoints(tmp_path / "run.h5", every=100)]
     run = simulation(stepping, files)
     refuse(run, monkeypatch, lambda t, tau: t > 0.03)
-    tried = r"dt_min = 0.004 s from t = 0.04 s .*0.02 s: refused 0.02; 0.01 s: refused 0.01; 0.005 s: refused"
+    tried = r"dt_min = 0.004 s from t = 0.04 s .*0.02 s \(refused 0.02\); 0.01 s \(refused 0.01\); 0.005 s"
     with pytest.raises(nv.StepError, match=tried):
         run.run(0.2)
     assert len((tmp_path / "ledger.csv").read_text().splitlines()) == 4  # header and rows 0 to 2
@@ -161,7 +161,7 @@ def test_a_step_that_is_not_solved_is_taken_in_quarters_and_the_run_goes_on(monk
     assert ledger.column("time")[[4, 8, 12]].tolist() == [DT, 2 * DT, 3 * DT]
     assert [r.tau for r in watch.seen] == pytest.approx([DT, DT / 2, DT / 2, DT / 2])
     assert ledger.column("rejections").sum() == 4
-    assert "stalled; taken in parts of 0.01 s" in watch.seen[1].reason
+    assert "stalled; the step is taken in parts of 0.01 s" in watch.seen[1].reason
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-12
 
 
@@ -245,7 +245,7 @@ def test_where_no_solver_solves_a_step_both_are_named(monkeypatch):
     newton = nv.NewtonOptions(split=SplitOptions(chosen_from=(1, 1)))
     for solver, said in (
         ("auto", "no; the split solver has not solved the step either"),
-        ("split", "the coupled solver cannot take the step instead: solver.method is 'split'"),
+        ("split", "the coupled solver cannot take the step instead, since solver.method is 'split'"),
     ):
         run = halving(solver=solver, newton=newton, halvings=0)
         with pytest.raises(nv.StepError, match=said):

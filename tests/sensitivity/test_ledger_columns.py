@@ -170,8 +170,8 @@ def test_without_one_of_the_states_the_slope_of_a_distance_is_wrong(monkeypatch)
 @pytest.mark.parametrize(
     ("column", "said"),
     [
-        ("newton_iterations", "it counts"),
-        ("closure", "this column is rounding"),
+        ("newton_iterations", "this column counts"),
+        ("closure", "this column measures rounding"),
         ("limiter", "treat the limiter's changes as constant"),
         ("dt", "treat the lengths of steps as constant"),
         ("momentum_size", "kinks where matter comes to rest"),
@@ -187,5 +187,5 @@ def test_columns_without_a_derivative_are_refused_with_the_reason(method, column
 def test_a_name_of_two_columns_is_refused(method):
     """The table's column would stand silently for the ledger's."""
     simulation = run(observers=[nv.Integrals({"kinetic": "density"})])
-    with pytest.raises(nv.ParameterError, match="a name of one column; 2 columns have this name"):
+    with pytest.raises(nv.ParameterError, match="the name of one column, but 2 columns have this name"):
         nv.gradient(simulation, UNTIL, of=["kinetic at 0.06"], by=["creep.G_m"], method=method)

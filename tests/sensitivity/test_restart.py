@@ -181,7 +181,7 @@ def test_the_folder_of_other_derivatives_or_a_damaged_one_is_refused(tmp_path):
     with pytest.raises(nv.CheckpointError, match=r"step-00000002\.h5"):
         found(run(), tmp_path)
     part.unlink()
-    with pytest.raises(nv.CheckpointError, match="no such file"):
+    with pytest.raises(nv.CheckpointError, match="this file does not exist"):
         found(run(), tmp_path)
 
 

@@ -109,7 +109,7 @@ def test_parameters_have_paths():
         (["kinetic at 0.06"], ["creep.G_q"], "unknown part in 'creep.G_q': 'G_q'"),
         (["kinetic at 0.06"], ["creap.G_m"], "unknown part of a run 'creap'"),
         (["kinetic at 0.06"], ["initial.velocity.0"], "the name of one number"),
-        (["kinetic at 0.06"], ["creep.nu"], "a value at least 0.0002 from the ends"),
+        (["kinetic at 0.06"], ["creep.nu"], "a value at a distance of at least 0.0002 from the ends"),
     ],
 )
 def test_what_has_no_derivative_is_refused(of, by, said):

@@ -121,16 +121,16 @@ FLAT = np.array([[_A, _B, _C], [_A, _C, _D], [_A, _D, _B], [_B, _D, _C]], dtype=
 @pytest.mark.parametrize(
     ("content", "expected"),
     [
-        (ascii_stl(cube()[:-1]), "3 of the 18 edges"),
+        (ascii_stl(cube()[:-1]), "3 of 18 edges"),
         (binary_stl(cube()[1:]), "closed surface"),
         (ascii_stl(np.concatenate([cube()[:1, ::-1], cube()[1:]])), "closed surface"),
         (
             binary_stl(np.concatenate([cube(), cube()])),
-            "each triangle once; 12 of the 24 triangles are repeated",
+            "each triangle once, but 12 of the 24 triangles are repeated",
         ),
-        (ascii_stl(np.concatenate([cube(), cube()[:1, ::-1]])), "each triangle once; 1 of the 13"),
-        (ascii_stl([]), "empty"),
-        (binary_stl([]), "empty"),
+        (ascii_stl(np.concatenate([cube(), cube()[:1, ::-1]])), "each triangle once, but 1 of the 13"),
+        (ascii_stl([]), "has none"),
+        (binary_stl([]), "has none"),
         (b"", "whole STL file"),
         (binary_stl(cube())[:-7], "whole STL file"),
         (ascii_stl(cube())[:300], "whole STL file"),
@@ -152,7 +152,7 @@ def test_surface_that_is_missing_or_in_a_mesh_of_the_plane_is_refused(tmp_path):
         ClosedSurface(tmp_path / "none.stl")
     path = tmp_path / "cube.stl"
     path.write_bytes(ascii_stl(cube()))
-    with pytest.raises(ParameterError, match="mesh of three dimensions"):
+    with pytest.raises(ParameterError, match="no closed surface in a mesh of two dimensions"):
         volumes(box((1, 1), maxh=0.5), [ClosedSurface(path)])
 
 

@@ -51,7 +51,7 @@ def test_a_cell_s_matrix_that_units_make_singular_is_said_with_the_remedy():
     """In SI units a slab in a weak medium, with 1e11 Pa and steps of 1 kyr, has such matrices; in km and kyr
     it has none."""
     form = Form("CalcLU: matrix singularin AssembleLinearization\n")
-    with pytest.raises(StepError, match=r"matrix singular.*take units in which both are near one"):
+    with pytest.raises(StepError, match=r"matrix singular.*take units in which these numbers are near one"):
         jacobian(form).factorise(None)
     with pytest.raises(StepError, match="no factorisation") as other:
         jacobian(Form("something else")).factorise(None)

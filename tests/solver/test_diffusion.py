@@ -98,7 +98,9 @@ def test_a_material_without_the_variable_is_refused_by_name():
     rubber = nv.NeoHookean(K_e=10, G_e=5, epsilon=0.1)
     with pytest.raises(ParameterError, match=r"Diffusion.variable = 'c'.*conserved scalar.*NeoHookean"):
         run_of(material=rubber)
-    with pytest.raises(ParameterError, match=r"Reader: it reads 'c', which the material does not carry"):
+    with pytest.raises(
+        ParameterError, match=r"since the term Reader reads 'c', which the material does not carry"
+    ):
         nv.Simulation(box((1, 1), maxh=0.6), nv.Model(material=rubber), dt=0.1, terms=[Reader()])
 
 
@@ -117,7 +119,7 @@ def test_what_cannot_be_is_refused(parts, message):
 def test_a_wall_says_something():
     with pytest.raises(ParameterError, match="a flux, or a potential and a coefficient"):
         nv.WallExchange()
-    with pytest.raises(ParameterError, match="are given together"):
+    with pytest.raises(ParameterError, match="have to be given together"):
         nv.WallExchange(potential=1.0)
 
 

@@ -128,7 +128,7 @@ def test_a_band_solves_in_any_numbering_and_refuses_an_indefinite_matrix():
 def test_multigrid_without_petsc_is_refused_by_name(monkeypatch):
     monkeypatch.setattr(petsc, "_loaded", [])
     monkeypatch.setitem(sys.modules, "petsc4py", None)  # as where it is not installed
-    with pytest.raises(ParameterError, match="coarse = 'gamg': expected 'direct': petsc4py is missing"):
+    with pytest.raises(ParameterError, match="coarse = 'gamg': expected 'direct', since petsc4py is missing"):
         nv.NewtonOptions(coarse="gamg")
     with pytest.raises(ParameterError, match="coarse = 'amg': expected one of direct, gamg, hypre"):
         nv.NewtonOptions(coarse="amg")
@@ -143,12 +143,12 @@ def test_multigrid_without_petsc_is_refused_by_name(monkeypatch):
         (
             lambda: box((1, 1), maxh=0.5),
             "split",
-            "the .* unknowns of v are factorised as a whole, as are up to 10000",
+            "the .* unknowns of v are factorised as a whole, like every number up to 10000",
         ),
         (
             lambda: disc(1.0, maxh=0.9),
             "split",
-            "with stresses of oblique or curved walls beside v the matrix",
+            "the matrix with stresses of oblique or curved walls",
         ),
     ],
 )
@@ -157,5 +157,5 @@ def test_multigrid_without_effect_is_warned_of(monkeypatch, domain, solver, reas
     limit = 0 if "walls" in reason else 10_000
     newton = nv.NewtonOptions(coarse="gamg", split=SplitOptions(direct_up_to=(limit, limit)))
     model = nv.Model(material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1))
-    with pytest.warns(InputWarning, match=f"coarse = 'gamg' of the solver has no effect: {reason}"):
+    with pytest.warns(InputWarning, match=f"coarse = 'gamg' of the solver has no effect, since {reason}"):
         assert nv.Simulation(domain(), model, dt=0.02, newton=newton, solver=solver).solver.newton

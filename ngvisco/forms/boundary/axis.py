@@ -29,14 +29,14 @@ def require_symmetry(symmetry: Symmetry, walls: Walls, model: Model, terms: Iter
         return
     for term in terms:
         if term.plane_only is not None:
-            expected = f"'none' with {type(term).__name__}: {term.plane_only}"
+            expected = f"'none' with {type(term).__name__}, since {term.plane_only}"
             raise ParameterError("Simulation.symmetry", AXISYMMETRIC, expected)
     for load in model.loads:
         across = load.centre[0] if isinstance(load, CentralGravity) else 0.0
         if isinstance(load, Gravity) and isinstance(load.g, (tuple, list)):
             across = load.g[0] if as_number(load.g[0]) is not None else 0.0
         if across != 0:
-            expected = "0 across the axis of an axisymmetric body"
+            expected = "0 for the x component of g or of the centre, since the axis of the body is x = 0"
             raise ParameterError(f"loads[{load.name!r}]", across, expected)
     across_r, _ = axis_parallel_walls(walls.mesh)
     if names := walls.periodic.intersection(across_r[0]):
@@ -45,7 +45,7 @@ def require_symmetry(symmetry: Symmetry, walls: Walls, model: Model, terms: Iter
     for name in axis_of(walls, ON_AXIS * symmetry.largest_radius):
         wall = walls.conditions[name]
         if not isinstance(wall, Slip) or wall.heat is not None:
-            expected = " without heat: the wall is the axis of an axisymmetric body"
+            expected = " without heat, since the wall is the axis of an axisymmetric body"
             raise ParameterError(f"walls[{name!r}]", wall, call("Slip"), expected)
 
 
@@ -61,7 +61,7 @@ def axis_of(walls: Walls, near: float) -> list[str]:
         if ranks.any(any(on)):
             if not ranks.all(all(on)):
                 raise MeshError(
-                    f"a part of the wall {name!r} lies on the axis: give the axis a name of its own"
+                    f"a part of the wall {name!r} lies on the axis; give the axis a name of its own"
                 )
             names.append(name)
     return names

@@ -83,7 +83,7 @@ def periodic_boundaries(mesh: Mesh) -> set[str]:
     counts = {str(name): totals[names == name].sum(axis=0) for name in sorted(set(names))}
     for name, (free, both) in counts.items():
         if free and both:
-            raise MeshError(f"a part of the boundary {name!r} is periodic: give this part a name of its own")
+            raise MeshError(f"a part of the boundary {name!r} is periodic; give this part a name of its own")
     return {name for name, (_, both) in counts.items() if both}
 
 
@@ -121,7 +121,7 @@ def _interfaces(mesh: Mesh) -> set[int]:
     for name, (outer, inner) in zip(mesh.GetBoundaries(), totals, strict=True):
         if outer and inner:
             raise MeshError(
-                f"a part of the boundary {name!r} lies between cells: divide the boundary, in the geometry "
+                f"a part of the boundary {name!r} lies between cells; divide the boundary, in the geometry "
                 "or by physical groups, into a wall and an interface"
             )
     return {int(i) for i in np.flatnonzero(totals[:, 1])}
@@ -167,11 +167,11 @@ def require_curved_cells(mesh: Mesh, walls: Mapping[str, Region]) -> None:
     for name, region in walls.items():
         if angle := bend(mesh, region):
             message = (
-                f"wall {name!r} is bent by {np.rad2deg(angle):.3g} degrees between straight facets, "
-                "like a polygon in place of a curved wall. On such a wall v.n = 0 tends to no slip, however "
-                "fine the mesh. Expected curved cells, by mesh.Curve(order) on a mesh with its geometry (as "
-                "the functions of geometries make it). For a wall that is a polyhedron, give the planes "
-                "names of their own, or the wall "
+                f"wall {name!r} is bent by {np.rad2deg(angle):.3g} degrees between straight facets, as a "
+                "polygon that approximates a curved wall. On such a wall v.n = 0 acts as no slip, however "
+                "fine the mesh is. Expected curved cells: call mesh.Curve(order) on a mesh that has its "
+                "geometry, as the functions of geometries do. If the wall is really a polyhedron, give each "
+                "plane a name, or give the wall "
             )
             raise MeshError(Words(message, call("Slip", straight=True)))
 

@@ -229,8 +229,8 @@ class VelocityOfMomentum:
             v[free] += project(change)
         if not left <= _ENOUGH * size:
             raise StepError(
-                "the velocity that belongs to a momentum was solved with a relative error of "
-                f"{left / size:.1e}"
+                "the velocity was found from the momentum with a relative error of "
+                f"{left / size:.1e}, which is too large"
             )
         return mass @ v - rows
 

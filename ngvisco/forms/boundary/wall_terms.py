@@ -76,7 +76,7 @@ class Impenetrability(PointTerm):
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
         if setting.k < 2:
             names = ", ".join(map(repr, self._walls.multiplied))
-            expected = f"2 or 3 with the oblique or curved walls {names}: v.n = 0 has a multiplier on them"
+            expected = f"2 or 3, since a multiplier imposes v.n = 0 on the oblique or curved walls {names}"
             raise ParameterError("Discretisation.k", setting.k, expected)
         space = partial(self._walls.multiplier_space, k=setting.k)
         return (Unknown("wall_stress", "walls", space=space),)
@@ -398,7 +398,7 @@ def passages_of(walls: Walls, model: Model) -> tuple[Carried, ...]:
     """
     if walls.crossed and (reason := _not_known(model)) is not None:
         name = walls.crossed[0]
-        expected = ("a wall that nothing crosses: ", reason)
+        expected = ("a wall that nothing crosses, since ", reason)
         raise ParameterError(f"walls[{name!r}]", walls.conditions[name], *expected)
     return tuple(Carried(walls, name, model) for name in walls.crossed)
 
@@ -422,10 +422,8 @@ def _not_known(model: Model) -> Words | None:
     """Reason why nothing can cross a wall with this model, or None."""
     law = model.regularisation
     if law is not None and law.rho_max is not None:
-        return Words(
-            "the flux of a cut-off density is unknown there (", Mention("Regularisation.rho_max"), ")"
-        )
+        return Words("the flux through other walls is unknown with ", Mention("Regularisation.rho_max"))
     if law is not None and (law.delta_density or law.delta_fields):
         law_name = Mention("Regularisation.delta_fields")
-        return Words("the diffusive flux is unknown there (", law_name, ", delta_density)")
+        return Words("the flux through other walls is unknown with ", law_name, " or delta_density")
     return None

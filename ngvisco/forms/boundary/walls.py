@@ -86,8 +86,8 @@ class Walls:
             if name in self.periodic or name in interfaces:
                 reason = "the boundary is periodic"
                 if name in interfaces:
-                    reason = "the boundary lies between cells and is no wall"
-                raise ParameterError(f"walls[{name!r}]", wall, f"no condition: {reason}")
+                    reason = "the boundary lies between cells and is not a wall"
+                raise ParameterError(f"walls[{name!r}]", wall, f"no condition, since {reason}")
         names = sorted(set(mesh.GetBoundaries()) - self.periodic - interfaces)
         self.conditions: dict[str, Wall] = {name: given.get(name, Slip()) for name in names}
         self.axis, self.oblique = axis_parallel_walls(mesh)
@@ -107,7 +107,7 @@ class Walls:
         require_curved_cells(mesh, {name: self.region([name]) for name in curved})
         for name in declared:
             if not bend(mesh, self.region([name])):
-                expected = ": the wall is not bent by small angles between straight facets"
+                expected = ", since the wall is not bent by small angles between straight facets"
                 raise ParameterError(f"walls[{name!r}].straight", True, False, expected)
         for name, wall in self.conditions.items():
             if wall.moves:
@@ -269,8 +269,11 @@ class MovingWalls:
             size = Integrate(velocity * velocity, mesh, BND, definedon=region)
             normal_part = Integrate(normal * normal, mesh, BND, definedon=region)
             if not normal_part <= OPEN * size:
-                sizes = f"a velocity with the normal part {normal_part**0.5:.3g} of {size**0.5:.3g} (in L2)"
-                expected = "a tangential velocity, since nothing crosses such a wall; an inlet is "
+                sizes = (
+                    f"a velocity with a normal part ({normal_part**0.5:.3g} of {size**0.5:.3g} in the L2 "
+                    "norm)"
+                )
+                expected = "a tangential velocity, since nothing crosses this wall; for an inlet take "
                 inlet = call("Inflow", velocity=...)
                 raise ParameterError(f"walls[{name!r}].velocity", sizes, expected, inlet)
             velocity = velocity - normal * n

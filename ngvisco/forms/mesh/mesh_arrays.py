@@ -160,16 +160,16 @@ def check_mesh(mesh: Mesh) -> None:
     cancel.
     """
     if mesh.dim not in (2, 3):
-        raise MeshError(f"the mesh has dimension {mesh.dim}: expected 2 (plane strain) or 3")
+        raise MeshError(f"the mesh has dimension {mesh.dim}; expected 2 (plane strain) or 3")
     if mesh.comm.Sum(mesh.ne) == 0:
-        raise MeshError("the mesh has no volume elements: mesh the interior, not only its surface")
+        raise MeshError("the mesh has no volume elements; mesh the interior, not only its surface")
     unknown: set[ET] = set()
     if not is_simplicial(mesh):
         unknown = {cell.type for cell in mesh.Elements(VOL)}.difference(_CELLS[mesh.dim])
     if mesh.comm.Sum(len(unknown)):
         names = ", ".join(sorted(_WORDS.get(kind, str(kind)) for kind in unknown)) or "others"
         raise MeshError(
-            f"the mesh has cells of the types {names}: expected triangles and quadrilaterals, or tetrahedra "
+            f"the mesh has cells of the types {names}; expected triangles and quadrilaterals, or tetrahedra "
             "(mesh.ngmesh.Split2Tets() divides hexahedra and prisms)"
         )
     ranks = Communicator.of(mesh)
@@ -179,8 +179,8 @@ def check_mesh(mesh: Mesh) -> None:
     with ranks.together(MeshError):
         if doubled.any():
             raise MeshError(
-                f"facet {int(np.argmax(doubled))}, on no boundary, has cells on one side only: "
-                "a cell is inverted, cells overlap, or the mesh lacks a boundary element there"
+                f"facet {int(np.argmax(doubled))} is on no boundary, but has cells on one side only: either "
+                "a cell is inverted, or cells overlap, or the mesh lacks a boundary element at this facet"
             )
 
 

@@ -199,14 +199,14 @@ def compiled(integrand: CoefficientFunction) -> CoefficientFunction:
     """
     value = os.environ.get(VARIABLE, "0")
     if value not in ("", "0", "1"):
-        raise ParameterError(VARIABLE, value, '"1" for machine code, "0" for none')
+        raise ParameterError(VARIABLE, value, '"1" for machine code, or "0"')
     if value != "1":
         return integrand.Compile()
     beside = str(Path(sys.executable).parent)
     if shutil.which(SCRIPT) is None and shutil.which(SCRIPT, path=beside) is not None:
         os.environ["PATH"] = os.pathsep.join([beside, os.environ.get("PATH", "")])
     if shutil.which(SCRIPT) is None or shutil.which("c++") is None:
-        raise ParameterError(VARIABLE, value, f"{SCRIPT} (of NGSolve) and c++ on the path")
+        raise ParameterError(VARIABLE, value, f'"0", since {SCRIPT} (of NGSolve) or c++ is not on the path')
     return integrand.Compile(realcompile=True, wait=True)
 
 
@@ -298,7 +298,7 @@ class Sampler:
         further = int(self.ranks.total(len(cells))) - 1
         at = f"at ({', '.join(f'{c:.4g}' for c in place)}) m"
         where = at if cell is None else f"in cell {cell} {at}"
-        return where + (f" and {further} other cell{'s' * (further > 1)}" if further else "")
+        return where + (f" and in {further} other cell{'s' * (further > 1)}" if further else "")
 
     def require(
         self, f: CoefficientFunction, name: str, key: str = "Initial", minimum: float | None = None
@@ -306,6 +306,6 @@ class Sampler:
         """Raise InitialDataError unless f is finite (and > ``minimum``) at all points."""
         values = self.values(f)
         if not self.ranks.all(np.isfinite(values).all()):
-            raise InitialDataError(name, "not finite somewhere", "finite values", key)
+            raise InitialDataError(name, "the value is not finite somewhere", "finite values", key)
         if minimum is not None and (least := self.ranks.least(values)) <= minimum:
-            raise InitialDataError(name, f"minimum {least:.6g}", f"> {minimum:g}", key)
+            raise InitialDataError(name, f"the minimum is {least:.6g}", f"values > {minimum:g}", key)

@@ -58,8 +58,8 @@ class Symmetry:
         least, largest = ranks.least(r), ranks.most(r)
         if least < -ON_AXIS * largest:
             raise MeshError(
-                f"the mesh has x = {least:.4g} m, and x is the distance from the axis of an axisymmetric "
-                "body: expected x >= 0"
+                f"the mesh has x = {least:.4g} m, but x is the distance from the axis of an axisymmetric "
+                "body; expected x >= 0"
             )
         return cls(largest)
 

@@ -291,7 +291,7 @@ def _heat_at_walls(step: Step) -> Iterator[str]:
             yield Words(
                 Mention(f"walls[{name!r}].heat"),
                 ": without a conductivity the incoming heat stays in the cells beside the wall, and the "
-                "temperature depends on their size; give a conductivity, ",
+                "temperature depends on the size of these cells; give a conductivity, ",
                 Mention("Heat.conductivity"),
             )
 
@@ -313,8 +313,8 @@ def _mismatches(step: Step, sampler: Sampler, values: Given) -> Iterator[str]:
             place = ", ".join(f"{c:.4g}" for c in sampler.place_of_largest(gap))
             yield (
                 f"initial values: {variable.name} does not follow from {distortion.name} (the difference is "
-                f"{worst**0.5:.3g}, at ({place}) m); both are transported with the given values, as "
-                "independent variables"
+                f"{worst**0.5:.3g}, at ({place}) m); {variable.name} and {distortion.name} are transported "
+                "as independent variables, with the given values"
             )
 
 
@@ -337,13 +337,13 @@ def _moduli(step: Step) -> Iterator[str]:
         (soft, least), *_, (stiff, most) = sorted(material.stiffnesses.items(), key=lambda item: item[1])
         if most > _STIFFER * least:
             yield Words(
-                f"bodies {stiff!r} and {soft!r} have bulk moduli of {most:.4g} and {least:.4g} Pa: where "
+                f"bodies {stiff!r} and {soft!r} have bulk moduli of {most:.4g} and {least:.4g} Pa. Where "
                 f"the amount of {soft!r}, a polynomial of order m = {m}, is negative, the bodies may have "
-                "no common pressure, and steps are divided. Take ",
+                "no common pressure, so that the run divides steps. Take ",
                 call("Discretisation", k=1, m=0),
-                ", in the plane on crossed "
-                "rectangles (structured_box, crossed = true), since other cells of order one lock; or one "
-                "volumetric energy for all where it does not matter",
+                "; in the plane it needs crossed rectangles (structured_box, crossed = true), since other "
+                "cells of order one lock. If the difference does not matter, give all bodies one volumetric "
+                "energy",
             )
 
 
@@ -378,9 +378,9 @@ def warn_of_corners(step: Step, times: Sequence[float]) -> None:
         at = ", ".join(f"{coordinate:.4g}" for coordinate in every[worst][2])
         rate = rates[np.argmax(np.abs(rates[:, worst])), worst]
         message = (
-            f"walls: their velocities alone determine div v = {rate:.3g} 1/s at ({at}) m, the corner of a "
-            "cell whose edges there lie on walls; no pressure can hold the volume of this cell "
-            f"({len(every)} such cells): mesh with split_corners = true, or divide the cells by "
+            f"the velocities of the walls alone determine div v = {rate:.3g} 1/s at ({at}) m, a vertex of a "
+            "cell whose edges at this vertex lie on walls. No pressure can keep the volume of this cell; "
+            f"there are {len(every)} such cells. Mesh with split_corners = true, or divide these cells by "
             "geometries.split_corner_cells(mesh)"
         )
         ranks.warn(message, InputWarning, stacklevel=4)

@@ -102,8 +102,8 @@ class Column:
             self.referential = {"": CF(value_at(rho_R, given))}
         if step.discretisation.m == 0 and step.discretisation.k > 1:
             expected = (
-                "1 or 2, or k = 1 beside m = 0, with equilibrium = 'hydrostatic': no pressure that is "
-                f"constant in cells bears a weight with velocities of order {step.discretisation.k}"
+                "1 or 2, or m = 0 with k = 1, for equilibrium = 'hydrostatic', since a pressure that is "
+                f"constant in cells cannot balance a weight for velocities of order {step.discretisation.k}"
             )
             raise ParameterError("Discretisation.m", 0, expected)
         self.J = {name: GridFunction(L2(self.mesh, order=step.discretisation.m)) for name in self.laws}
@@ -168,7 +168,7 @@ class Column:
             last = values
         else:
             raise InitialDataError(
-                "equilibrium", "not found", "loads that the body can bear; it yields to the given loads"
+                "equilibrium", "no equilibrium was found", "loads that the pressure in the body can balance"
             )
         release(self._inverse)
         self._say_what_is_left()
@@ -216,11 +216,8 @@ class Column:
                 return
         low, high = self.sampler.extrema(self.pressure)
         owner = f" of body {name!r}" if name else ""
-        expected = (
-            f"pressures at which the bulk law{owner} has a J; some of the pressures, which are from "
-            f"{low:.4g} to {high:.4g} Pa, have none"
-        )
-        raise InitialDataError("equilibrium", "no J found", expected)
+        expected = f"a bulk law{owner} that has a J at every pressure from {low:.4g} to {high:.4g} Pa"
+        raise InitialDataError("equilibrium", "no J was found at some pressure", expected)
 
     def _at(self, datum: object) -> Callable[[CoefficientFunction], float]:
         """Return a function that evaluates coefficient functions at the datum."""
@@ -235,7 +232,7 @@ class Column:
         if datum is not None:
             where = as_points("Initial.datum_point", datum, self.mesh.dim)
             if len(where) != 1:
-                raise ParameterError("Initial.datum_point", datum, "one point, m")
+                raise ParameterError("Initial.datum_point", datum, "one point, in m")
             point = Located(self.mesh, where, ["Initial.datum_point"])
             return lambda f: float(np.asarray(point.values(CF((f, 0.0))))[0, 0])
 
@@ -257,8 +254,8 @@ class Column:
         if left > _UNBORNE * size:
             around = "the loads go around the periodic domain, or " * bool(self.step.layout.periodic)
             message = (
-                f"equilibrium: no pressure bears {left / size:.0%} of the loads, since {around}the density "
-                "varies along levels, or within cells: the body will move"
+                f"equilibrium: no pressure balances {left / size:.0%} of the loads, since {around}the "
+                "density varies along level surfaces, or within cells. The body will therefore move"
             )
             self.sampler.ranks.warn(message, InputWarning, stacklevel=4)
 
@@ -266,7 +263,12 @@ class Column:
 def require_open(step: Step, F: object, given: Mapping[str, object]) -> None:
     """Raise ParameterError for an equilibrium without loads, or with given strains that it determines."""
     if not step.model.loads:
-        raise ParameterError("Initial.equilibrium", "hydrostatic", "a model with loads, such as Gravity")
+        raise ParameterError(
+            "Initial.equilibrium",
+            "hydrostatic",
+            None,
+            " without loads; an equilibrium needs a load, such as Gravity",
+        )
     if F is not None:
         raise ParameterError("Initial.F", F, None, ", since F follows from the equilibrium")
     for v in step.model.material.variables:

@@ -37,17 +37,17 @@ def starting_fractions(mesh: Mesh, bodies: Sequence[Body], order: int) -> StartV
         if volume <= _COVERED * total:
             above = [later.name for later in placed[i + 1 :] if later.order > body.order]
             is_seen = volumes(mesh, [shapes[body.name]])[0] > _COVERED * total
-            hidden = f"a place that {', '.join(above)}, of higher order, does not cover"
+            hidden = f"a place that bodies of higher order ({', '.join(above)}) do not cover"
             raise ParameterError(f"bodies[{body.name!r}].where", body.where, hidden if is_seen else MISSED)
     if filler is None and of_rest > _OVERLAP * total:
         expected = (
-            f"one body without a place, for the rest: {of_rest / total:.2%} of the domain is in no body"
+            f"one body without a place, for the rest, since {of_rest / total:.2%} of the domain is in no body"
         )
         raise ParameterError("Model.bodies", names, expected)
     if filler is not None and of_rest <= _COVERED * total:
         body, _ = max(zip(placed, of_placed, strict=True), key=lambda pair: pair[1])
         expected = (
-            f"a smaller place: this place leaves no part of the domain to {filler.name!r}, "
+            f"a smaller place, since this place leaves no part of the domain to {filler.name!r}, "
             "the body without a place"
         )
         raise ParameterError(f"bodies[{body.name!r}].where", body.where, expected)
@@ -70,7 +70,7 @@ def _require_some_body_in_each_cell(mesh: Mesh, names: Sequence[str], remainder:
             corners = mesh[ElementId(VOL, int(np.argmax(empty)))].vertices
             middle = np.mean([mesh[vertex].point for vertex in corners], axis=0)
             place = ", ".join(f"{c:.4g}" for c in middle)
-            expected = f"one body without a place, for the rest: a cell at ({place}) is in no body"
+            expected = f"one body without a place, for the rest, since a cell at ({place}) is in no body"
             raise ParameterError("Model.bodies", list(names), expected)
 
 
@@ -82,7 +82,8 @@ def _require_order(mesh: Mesh, placed: Sequence[Body], shapes: Mapping[str, Shap
             common, size = volumes(mesh, [a & b])[0], min(volumes(mesh, [s])[0] for s in (a, b))
             if common > _OVERLAP * size:
                 expected = (
-                    f"an order other than {first.order}, the order of {first.name!r}: {common / size:.1%} "
-                    "of the smaller body is in both, and the body of higher order fills this part"
+                    f"an order other than {first.order}, the order of {first.name!r}, since "
+                    f"{common / size:.1%} of the smaller body is in both bodies; this part then belongs to "
+                    "the body of higher order"
                 )
                 raise ParameterError(f"bodies[{second.name!r}].order", second.order, expected)

@@ -106,7 +106,10 @@ def function_field(mesh: Mesh, function: Callable[..., object], order: int = 2) 
 
 
 def _as_components(given: object, count: int) -> np.ndarray:
-    expected = f"an array of shape ({count},) of finite numbers, or sequences of them"
+    expected = (
+        f"a function that returns an array of shape ({count},) of finite numbers, or a sequence of such "
+        "arrays"
+    )
     try:
         values = np.asarray(_broadcast(given, count), dtype=float)
     except (TypeError, ValueError) as error:
@@ -157,13 +160,17 @@ def grid_field(
     try:
         interpolate = RegularGridInterpolator(tuple(axes), array, method=method)
     except (TypeError, ValueError) as error:
-        expected = f"increasing axes, and an array with as many values along each axis ({error})"
+        expected = (
+            f"an array with as many values along each axis as the axis has, and increasing axes ({error})"
+        )
         raise ParameterError("grid_field.values", f"shape {array.shape}", expected) from error
 
     def sampled(*where: np.ndarray) -> np.ndarray:
         for name, points, axis in zip("xyz", where, axes, strict=False):
             if points.min() < min(axis) or points.max() > max(axis):
-                expected = f"a range that contains [{points.min():.6g}, {points.max():.6g}]"
+                expected = (
+                    f"a range that contains that of the domain, [{points.min():.6g}, {points.max():.6g}]"
+                )
                 raise ParameterError(f"grid_field.axes, {name}", [min(axis), max(axis)], expected)
         return np.moveaxis(interpolate(np.array(where).T), 0, -1)
 

@@ -105,7 +105,7 @@ class Initial:
 
     def __post_init__(self) -> None:
         if not isinstance(self.datum, str | None):
-            raise ParameterError("Initial.datum", self.datum, "the name of a wall; see datum_point")
+            raise ParameterError("Initial.datum", self.datum, "the name of a wall; datum_point takes a point")
         require_fields(self)
         if self.datum is not None and self.datum_point is not None:
             raise ParameterError("Initial.datum_point", self.datum_point, None, ", since datum is given")
@@ -188,8 +188,9 @@ def _data(
     _check_spaces(step, initial.values, values, sampler)
     low, high = sampler.extrema(density)  # products of densities in this range do not overflow
     if not _LEAST_DENSITY <= low <= high <= 1 / _LEAST_DENSITY:
-        expected = f"kg/m^3 from {_LEAST_DENSITY:g} to {1 / _LEAST_DENSITY:g}"
-        raise InitialDataError("density rho_0", f"{low:.6g} to {high:.6g}", expected, "Initial.density")
+        expected = f"values from {_LEAST_DENSITY:g} to {1 / _LEAST_DENSITY:g} kg/m^3"
+        values_are = f"the values are from {low:.6g} to {high:.6g}"
+        raise InitialDataError("density rho_0", values_are, expected, "Initial.density")
     _check_continuation(material, values, sampler)
     step.ranges = _ranges(step, parameters, sampler)
     return values, density, F
@@ -228,10 +229,10 @@ def _project(
         for name, value in ((name, value) for positive in signs for name, value in positive.items()):
             sampler.require(value, f"projected {name}_0", f"Initial.values[{name!r}]", minimum=0.0)
         if not np.isfinite(step.energy.samples(z, sampler)).all():
-            failure = step.energy.last_failure or "not finite somewhere"
+            failure = step.energy.last_failure or "the value is not finite somewhere"
             is_at_rest = initial.F is None and not initial.values and not step.model.bodies
             key, subject = ("Model.material", "parameters") if is_at_rest else ("Initial", "start values")
-            raise InitialDataError("stored energy", failure, f"{subject} of a finite energy", key)
+            raise InitialDataError("stored energy", failure, f"{subject} that give a finite energy", key)
         complete(step)
     theta = temperature(material, step.now.zeta_tensors)
     if theta is not None:
@@ -250,8 +251,8 @@ def _ranges(step: Step, parameters: Given, sampler: Sampler) -> dict[str, tuple[
         if isinstance(variable, Parameter) and variable.limits is not None:
             (least, most), (low, high) = ranges[variable.name], variable.limits
             if not low <= least <= most <= high:
-                range_, expected = f"from {least:.6g} to {most:.6g}", f"from {low:g} to {high:g}"
-                key = f"Initial.values[{variable.name!r}]"
+                key, expected = f"Initial.values[{variable.name!r}]", f"values from {low:g} to {high:g}"
+                range_ = f"the values are from {least:.6g} to {most:.6g}"
                 raise InitialDataError(f"parameter {variable.name}", range_, expected, key)
             ranges[variable.name] = variable.limits
     return ranges
@@ -286,9 +287,9 @@ def _of_bodies(
     if not isinstance(material, Mixture):
         return {}
     if initial.density is not None:
-        raise ParameterError("Initial.density", initial.density, None, " with bodies: give each its own")
+        raise ParameterError("Initial.density", initial.density, None, ", since each body has a density")
     for name in sorted(set(initial.values) & {AMOUNT + name for name in shares}):
-        raise ParameterError("Initial.values", name, "places of the bodies, not amounts")
+        raise ParameterError("Initial.values", name, "no amounts, since the bodies' places give them")
     return {name: v for name, v in material.filled(shares, distortions).items() if name not in initial.values}
 
 
@@ -307,7 +308,7 @@ def _check_moduli(step: Step, told: StartValues, parameters: Given, sampler: Sam
         value = told[expression.name] if isinstance(expression, Parameter) else expression.at(parameters)
         sampler.require(value, name, name, 0.0 if is_positive else None)
         if (least := sampler.extrema(value)[0]) < 0:
-            raise InitialDataError(name, f"minimum {least:.6g}", ">= 0", name)
+            raise InitialDataError(name, f"the minimum is {least:.6g}", "values >= 0", name)
 
 
 def _require_no_time(initial: Initial) -> None:
@@ -316,7 +317,7 @@ def _require_no_time(initial: Initial) -> None:
     given |= {f"values[{name!r}]": value for name, value in initial.values.items()}
     for name, value in given.items():
         if any(reads_time(part) for part in _functions_in(value)):
-            expected = "a function of the place alone; the given function reads the time"
+            expected = "a function of the place alone, but the given function reads the time"
             raise ParameterError(f"Initial.{name}", value, expected)
 
 
@@ -336,9 +337,7 @@ def _check_continuation(material: Material, values: Given, sampler: Sampler) -> 
             continue
         J = volume_ratio(part, {v.name: values[v.name] for v in part.variables})
         if (least := sampler.extrema(J)[0]) < J_min:
-            expected = (
-                f"less than {least:.4g}, the least J at the start: below J_min the energy has no barrier"
-            )
+            expected = f"less than {least:.4g}, the least J at the start, since J < J_min has no barrier"
             raise ParameterError(f"{type(part).__name__}.J_min", J_min, expected)
 
 
@@ -366,14 +365,14 @@ def _check_density(
     rho_R: CoefficientFunction, density: CoefficientFunction, J: CoefficientFunction, sampler: Sampler
 ) -> None:
     """Raise InitialDataError unless rho_0 J_0 = rho_R."""
-    sampler.require(J, "material variables: J_0", "Initial.values", minimum=0.0)
+    sampler.require(J, "J_0 of the material variables", "Initial.values", minimum=0.0)
     least, most = sampler.extrema(density * J / rho_R)
     if max(abs(least - 1), abs(most - 1)) > _CONTRADICTION:
         low, high = sampler.extrema(density * J)
-        range_ = f"rho_0 J_0 from {low:.7g} to {high:.7g} kg/m^3"
+        range_ = f"rho_0 J_0 is from {low:.7g} to {high:.7g} kg/m^3"
         low, high = sampler.extrema(rho_R)
-        referential = f"rho_R = {low:.7g}" if low == high else f"rho_R, from {low:.7g} to {high:.7g} kg/m^3,"
-        expected = f"{referential} there, or no density beside J, or no J beside the density"
+        referential = f"{low:.7g}" if low == high else f"from {low:.7g} to {high:.7g}"
+        expected = f"rho_0 J_0 = rho_R, which is {referential} kg/m^3; or only one of density and J"
         raise InitialDataError("density rho_0", range_, expected, "Initial.density")
 
 
@@ -391,10 +390,10 @@ def _check_spaces(step: Step, given: Given, values: Given, sampler: Sampler) -> 
         difference = value - space.tensor(space.components(value))
         sampler.require(square(value), f"{variable.name}_0", key)
         if sampler.extrema(square(difference))[1] > 1e-20 * (1 + sampler.extrema(square(value))[1]):
-            shape = "symmetric" if variable.kind == "symmetric" else "3x3"
+            shape = "a symmetric tensor" if variable.kind == "symmetric" else "a 3x3 tensor"
             if step.mesh.dim == 2:
-                shape += " with zero 13, 23, 31, 32 entries (plane strain)"
-            raise InitialDataError(f"{variable.name}_0", "entries of another kind of tensor", shape, key)
+                shape += " whose entries 13, 23, 31, 32 are 0 (plane strain)"
+            raise InitialDataError(f"{variable.name}_0", "the tensor has other nonzero entries", shape, key)
 
 
 def _impose_walls(step: Step, v_0: CoefficientFunction) -> None:

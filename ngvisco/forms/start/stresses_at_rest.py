@@ -36,13 +36,13 @@ def where_bodies_meet(step: Step) -> Iterator[str]:
         names = ", ".join(repr(name) for name in stresses)
         values = ", ".join(f"{stress:.4g} Pa" for stress in stresses.values())
         yield Words(
-            f"bodies {names} meet with different stresses at rest, T(I) = {values} (mean normal stress): "
-            f"the bodies move from the first step on until their stresses balance. {_REMEDY}"
-            "or start where the stresses agree (",
+            f"bodies {names} meet with different stresses at rest (the mean normal stresses T(I) are "
+            f"{values}). The bodies move from the first step on until their stresses balance. {_REMEDY}or "
+            "start from states with equal stresses (by ",
             Mention("Initial.F"),
-            ", or ",
+            ", or by J in ",
             Mention("Initial.values"),
-            " of J)",
+            ")",
         )
 
 
@@ -77,12 +77,13 @@ def on_open_walls(step: Step) -> Iterator[str]:
         gap, size = gap**0.5, size**0.5
         is_pressed = mean < 0 and push < 0
         if size > _MATTERS * largest and gap > _MATTERS * size and not is_pressed:
-            unborne.append(f"at {name!r} T(I) = {mean:.6g} Pa, given {push:.6g} Pa, difference {gap:.3g} Pa")
+            given_stress = f"the given stress {push:.6g} Pa, the difference {gap:.3g} Pa"
+            unborne.append(f"at {name!r} T(I) is {mean:.6g} Pa, {given_stress}")
     if unborne:
         yield (
-            "matter beside open walls has a stress of its own at rest, T(I) (mean normal stress); its "
-            "difference from the stress of the walls loads the body from the first step on: "
-            f"{'; '.join(unborne)}. {_REMEDY}or let the walls bear it: a pressure of -T(I) beside other loads"
+            "at open walls the mean normal stress of the matter at rest, T(I), is not the given stress, and "
+            f"the difference loads the body from the first step on: {'; '.join(unborne)}. {_REMEDY}or give "
+            "the walls a pressure of -T(I) in addition to other loads"
         )
 
 

@@ -147,7 +147,10 @@ class Heating(_OfEntropy):
             for entry in () if term is self else term.entries(u):
                 if entry.kind == "dissipation" and entry.name not in dissipations and not entry.is_outside:
                     name = type(term).__name__
-                    expected = f"that {name}.dissipated returns {entry.name!r}, which heats the material"
+                    expected = (
+                        f"a term whose method dissipated returns {entry.name!r}, since this dissipation "
+                        "heats the material"
+                    )
                     raise ParameterError("Simulation.terms", name, expected)
 
 

@@ -55,7 +55,7 @@ class FieldDiffusion(PointTerm):
     material: Material
     dim: int
     kernel = "diffusion"
-    plane_only = "about an axis the Laplacian of a tensor has further terms; take delta_fields = 0"
+    plane_only = "about an axis the Laplacian of a tensor has further terms; or take delta_fields = 0"
 
     @cached_property
     def curvature(self) -> Curvature:

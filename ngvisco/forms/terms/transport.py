@@ -245,7 +245,7 @@ class CreepRate(PointTerm):
     """
 
     rule: FlowRule
-    plane_only = "about an axis the gradient of the rate has further terms (Pi_rr - Pi_33)/r; take nu = 0"
+    plane_only = "about an axis the gradient of the rate has further terms (Pi_rr - Pi_33)/r; or take nu = 0"
 
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
         return (Unknown("Pi", "continuous", max(1, setting.m), trace_free_tensors(setting.dim).size),)

@@ -50,7 +50,8 @@ def _readable(name: str, law: FlowRule | Viscosity, material: Material) -> dict[
     z = dict(values_at_rest(material))
     if TEMPERATURE in law.reads and entropy_in(material) is None:
         expected = (
-            "a number, a function of the initial place or an expression: the material has no temperature; "
+            "a number, a function of the initial place or an expression, since the material has no "
+            "temperature; "
         )
         remedy = (call("Thermal", material=...), " gives a material a temperature")
         raise ParameterError(f"{name}.temperature", None, expected, *remedy)
@@ -76,10 +77,16 @@ def check_viscosity(law: Viscosity, material: Material) -> None:
         power, risen = (((stress * eps).sum(axis=(0, 1)) / sizes) for stress in stresses)
         tested, large = np.isfinite(power) & np.isfinite(risen), np.sqrt((stresses[0] ** 2).sum(axis=(0, 1)))
         _refuse(
-            f"{name}.stress", power < -_ROUNDING * large, tested, power, sizes, "D(eps) : eps >= 0", "eps"
+            f"{name}.stress",
+            power < -_ROUNDING * large,
+            tested,
+            power,
+            sizes,
+            "a power D(eps) : eps >= 0",
+            "eps",
         )
         falls = risen - power < -_ROUNDING * large
-        expected = "a stress with a convex potential, which rises with eps"
+        expected = "a stress that rises with eps, as that of a convex potential"
         _refuse(f"{name}.stress", falls, tested, risen - power, sizes, expected, "eps")
 
 
@@ -107,12 +114,21 @@ def check_rule(rule: FlowRule, material: Material) -> None:
         tested = np.isfinite(power) & np.isfinite(size)
         if not tested.any():
             raise ParameterError(f"{name}.rate", rule, "finite rates for some M between 1e-9 and 1e12 Pa")
-        _refuse(f"{name}.rate", power < -_ROUNDING * size * sizes, tested, power, sizes, "M : Pi >= 0")
+        _refuse(
+            f"{name}.rate", power < -_ROUNDING * size * sizes, tested, power, sizes, "a power M : Pi >= 0"
+        )
         skew = abs(Pi - Pi.swapaxes(0, 1)).max(axis=(0, 1))
-        _refuse(f"{name}.rate", skew > _ROUNDING * size, tested, skew, sizes, "a symmetric Pi")
+        _refuse(
+            f"{name}.rate",
+            skew > _ROUNDING * size,
+            tested,
+            skew,
+            sizes,
+            "0 for the largest entry of Pi - Pi^T",
+        )
         if not rule.has_trace:
             trace = abs(np.einsum("iip->p", Pi))
-            _refuse(f"{name}.rate", trace > _ROUNDING * size, tested, trace, sizes, "tr Pi = 0")
+            _refuse(f"{name}.rate", trace > _ROUNDING * size, tested, trace, sizes, "0 for the trace of Pi")
         if rule.is_local:
             return
         force = rule.force(Array(Pi, None), z).value
@@ -120,7 +136,12 @@ def check_rule(rule: FlowRule, material: Material) -> None:
         gap = np.sqrt(((force - M.value) ** 2).sum(axis=(0, 1))) / sizes
         tested &= (size > 1e3 * rule.rate_floor) & np.isfinite(gap)
         _refuse(
-            f"{name}.psi", gap > _INVERSE, tested, gap, sizes, "psi'(rate(M)) = M; the relative difference"
+            f"{name}.psi",
+            gap > _INVERSE,
+            tested,
+            gap,
+            sizes,
+            "0 for the relative difference of psi'(rate(M)) and M",
         )
 
 
@@ -130,7 +151,10 @@ def _naming(field: str, law: object) -> Iterator[None]:
     try:
         yield
     except Exception as error:
-        expected = f"a function of tensors by ngvisco.physics.tensors: {type(error).__name__}: {error}"
+        expected = (
+            f"a function written with ngvisco.physics.tensors, but this raises {type(error).__name__}: "
+            f"{error}"
+        )
         raise ParameterError(field, law, expected) from error
 
 
@@ -144,5 +168,8 @@ def _refuse(
     argument: str = "M",
 ) -> None:
     if (at := np.flatnonzero(wrong & tested)).size:
-        where = f"{expected}, here at |{argument}| = {sizes[at[0]]:g} {'Pa' if argument == 'M' else '1/s'}"
+        where = (
+            f"{expected}; the value is that at |{argument}| = {sizes[at[0]]:g} "
+            f"{'Pa' if argument == 'M' else '1/s'}"
+        )
         raise ParameterError(field, float(value[at[0]]), where)

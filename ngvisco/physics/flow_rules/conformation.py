@@ -91,7 +91,10 @@ class PTT(_OfConformation):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.form == "linear" and not self.epsilon < 1 / 3:
-            expected = "< 1/3 with form = 'linear', whose rate has the wrong sign at tr B < 3 - 1/epsilon"
+            expected = (
+                "a number < 1/3 with form = 'linear', since the rate has the wrong sign at tr B < 3 - "
+                "1/epsilon"
+            )
             raise ParameterError("PTT.epsilon", self.epsilon, expected)
 
     def rate(self, M: Tensor, zeta: Tensor | None, z: Values) -> Tensor:

@@ -27,7 +27,7 @@ class _Driven(GradientRule):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.law != "mandel" and self.nu != 0:
-            expected = f"0 for law = {self.law!r}, which is local"
+            expected = f"0 for law = {self.law!r}, since this law is local"
             raise ParameterError(f"{type(self).__name__}.nu", self.nu, expected)
 
     @property
@@ -86,7 +86,7 @@ class Creep(GradientRule):
         else:
             super().__post_init__()
         if self.law != "mandel" and self.nu != 0:
-            raise ParameterError("Creep.nu", self.nu, f"0 for law = {self.law!r}, which is local")
+            raise ParameterError("Creep.nu", self.nu, f"0 for law = {self.law!r}, since this law is local")
 
     @property
     def R(self) -> float:
@@ -267,7 +267,7 @@ class Perzyna(_Driven):
         super().__post_init__()
         for name in ("H", "Q") if self.law != "mandel" else ():
             if (value := getattr(self, name)) != 0:
-                expected = f"0 for law = {self.law!r}, whose rate is not along M"
+                expected = f"0 for law = {self.law!r}, since the rate of this law is not along M"
                 raise ParameterError(f"Perzyna.{name}", value, expected)
         require_effect(self, self.Q != 0, "with Q = 0", "b")
 
@@ -367,7 +367,7 @@ class Composite(FlowRule):
                 raise ParameterError(
                     f"Composite.rules[{i}].nu",
                     rule.nu,
-                    "0 in a sum of flow rules, which has no gradient term",
+                    "0 in a sum of flow rules, since a sum has no gradient term",
                 )
             if rule.hardening is not None:
                 expected = (

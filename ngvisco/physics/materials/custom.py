@@ -87,7 +87,9 @@ class CustomMaterial(Material):
         super().__post_init__()
         of_volume = (v.volume_ratio(v.from_distortion(IDENTITY)) for v in self.transported)
         if self.rho_R is not None and all(ratio is None for ratio in of_volume):
-            raise ParameterError("CustomMaterial.rho_R", self.rho_R, "a variable from which J follows")
+            raise ParameterError(
+                "CustomMaterial.rho_R", self.rho_R, None, ", since J follows from no variable"
+            )
         check_energy(self)
         require_isotropy(self)
         for name, bound in self.bounds.items():

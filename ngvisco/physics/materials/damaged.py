@@ -164,21 +164,25 @@ class Damaged(Wrapper):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.area == "reference" and self.is_linearised:
-            expected = "'actual' with a material of small strain, whose actual and reference areas are equal"
+            expected = (
+                "'actual' with a material of small strain, since actual and reference areas are then equal"
+            )
             raise ParameterError("Damaged.area", self.area, expected)
         expected = ""
         if part_of(self.material, Damaged) is not None:
             expected = "a material without damage"
         elif entropy_in(self.material) is not None:
             expected = Words(
-                "a material without heat; ",
+                "a material without heat; for heat and damage put ",
                 call("Thermal", material=...),
-                " around a damaged material has heat and damage",
+                " around the damaged material",
             )
         elif self.material.response(3) is not None:
             expected = "a material whose energy is an expression, not that of a Yosida approximation"
         elif any(parameter.name == DAMAGE.name for parameter in parameters_in((self.material,))):
-            expected = "moduli that do not read the damage, since g(d) already degrades the energy"
+            expected = (
+                "a material whose moduli do not read the damage, since g(d) already degrades the energy"
+            )
         if expected:
             raise ParameterError("Damaged.material", self.material, expected)
         self._check_branches()
@@ -189,7 +193,9 @@ class Damaged(Wrapper):
         if self.breaking is None:
             return
         if not isinstance(self.material, Network):
-            raise ParameterError("Damaged.breaking", self.breaking, None, ": the material has no branches")
+            raise ParameterError(
+                "Damaged.breaking", self.breaking, None, ", since the material has no branches"
+            )
         object.__setattr__(self, "breaking", tuple(require_some_names("Damaged.breaking", self.breaking)))
         for name in self.breaking:
             if name not in self.material.parts:
@@ -215,7 +221,7 @@ class Damaged(Wrapper):
         slope, stiffness = rest_stress_and_modulus(self._breaking)
         if not abs(slope) <= 1e-9 * max(abs(stiffness), abs(energy_at_rest)):
             expected = (
-                "a material without stress at rest, such as a Referential one; here d phi/dJ is "
+                "a material without stress at rest, such as a Referential one, but d phi/dJ at rest is "
                 f"{slope:.4g} Pa"
             )
             raise ParameterError("Damaged.material", self.material, expected)

@@ -63,7 +63,7 @@ class _Parts(dict[str, Branch]):
 
     def __setitem__(self, name: str, branch: Branch) -> None:
         raise TypeError(
-            "the branches of a network cannot change: make another network by dataclasses.replace"
+            "the branches of a network cannot change; make another network by dataclasses.replace"
         )
 
 
@@ -227,11 +227,12 @@ class Network(Material):
         }
         if len(set(small.values())) > 1:
             expected = (
-                "branches of small strain alone, or of large strains alone, since branches share one volume"
+                "either only branches of small strain or only branches of large strains, since branches "
+                "share one volume"
             )
             raise ParameterError("Network.branches", list(small), expected)
         if not rest_stress_and_modulus(self)[1] > 0:
-            expected = "a bulk modulus > 0 of at least one branch, since the network has to bear pressure"
+            expected = "at least one branch with a bulk modulus > 0, since the network has to carry pressure"
             raise ParameterError("Network.branches", list(self.parts), expected)
 
 

@@ -186,11 +186,13 @@ class ReferenceEnergy(Material):
         of_volume = (Jacobian, ReciprocalJacobian, LogJacobian)
         for v in self.material.variables:
             if not isinstance(v, (DistortionTensor, *of_volume, Parameter)):
-                admitted = "a material of J and of F, Cof F, F F^T, Cof(F F^T) times powers of J"
-                expected = f"{admitted}, not of {v.name!r}"
+                admitted = (
+                    "a material whose variables are J, or powers of J times F, Cof F, F F^T or Cof(F F^T)"
+                )
+                expected = f"{admitted}; {v.name!r} is none of these"
                 if isinstance(v, SmallStrain):
                     expected += (
-                        "; at small strains ReferentialNeoHookean with half of the G_e equals LinearElastic"
+                        ". At small strains ReferentialNeoHookean with half of the G_e equals LinearElastic"
                     )
                 raise ParameterError(self.owner, self.material, expected)
         if not any(isinstance(v, of_volume) for v in self.material.variables):
@@ -200,12 +202,15 @@ class ReferenceEnergy(Material):
                 "a material with J or 1/J, since bodies share the volume of a point",
             )
         if self.material.response(3) is not None:
-            expected = "a material whose energy is an expression; a Yosida approximation has none"
+            expected = "a material whose energy is an expression, which that of a Yosida approximation is not"
             raise ParameterError(self.owner, self.material, expected)
         values_at_rest = {v.name: v.from_distortion(IDENTITY) for v in self.material.variables}
         if domain := self.material.domain(values_at_rest):
             bounds = ", ".join(f"{name} > 0" for name in domain)
-            expected = f"a material whose energy has a value for every strain, not for {bounds} alone"
+            expected = (
+                "a material whose energy has a value for every strain, but this one has values only for "
+                f"{bounds}"
+            )
             raise ParameterError(self.owner, self.material, expected)
 
     @property
@@ -285,18 +290,18 @@ class ReferenceEnergy(Material):
         coupled = abs(hessian[:, volume] * tensors).max(initial=0.0)
         if not len(hessian) or not coupled <= _ROUNDING * abs(hessian).max():
             expected: str = Words(
-                "an energy f(B) + U(J) per reference volume, since an energy per actual volume is not "
-                "convex there; IsochoricNeoHookean, ReferentialNeoHookean, ReferentialMooneyRivlin, ",
+                "an energy f(B) + U(J) per reference volume, since other energies are not convex per "
+                "reference volume; IsochoricNeoHookean, ReferentialNeoHookean, ReferentialMooneyRivlin, ",
                 call("PerReferentialVolume", material=...),
                 ' with elastic_state = "B" have such an energy',
             )
             raise ParameterError(self.owner, self.material, expected)
         if not (hessian[:, volume, volume] > 0).all() and not self.is_gas:
-            expected = "an energy whose second derivative by J, per reference volume, is positive"
+            expected = "an energy per reference volume whose second derivative by J is positive"
             raise ParameterError(self.owner, self.material, expected)
         report = check_convexity(self, warn=False)
         if not report.passed:
-            expected = f"an energy convex per reference volume; J phi is {report}"
+            expected = f"an energy that is convex per reference volume, but J phi is {report}"
             raise ParameterError(self.owner, self.material, expected)
 
 

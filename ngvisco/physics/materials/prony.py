@@ -86,7 +86,9 @@ def prony_network(
         raise ParameterError("prony_network.of", of, '"G_0" or "G_inf"')
     shifts = {"E": E, "C_1": C_1, "C_2": C_2}
     if (C_1 is None) != (C_2 is None) or (E is not None and C_1 is not None):
-        raise ParameterError("prony_network.C_1", shifts, "E alone, C_1 and C_2 together, or none of them")
+        raise ParameterError(
+            "prony_network.C_1", shifts, "E alone, C_1 and C_2 together, or none of the three"
+        )
     left = 1 - float(rows[:, 0].sum()) if of == "G_0" else 1.0
     if left < -1e-12:
         expected = f"shares of G_0 whose sum is at most 1, not {1 - left:.6g}; shares of G_inf have no bound"
@@ -118,7 +120,8 @@ def read_prony(path: str | os.PathLike[str]) -> np.ndarray:
                     rows.append([float(cell) for cell in cells])
                 except ValueError:
                     if any(character.isdigit() for character in cells[0][:1]):
-                        raise ParameterError("read_prony.path", line, "rows of two numbers") from None
+                        given = f"a file with the line {line.strip()}"
+                        raise ParameterError("read_prony.path", given, "rows of two numbers") from None
     except (OSError, UnicodeDecodeError) as error:
         raise ParameterError("read_prony.path", str(path), f"a CSV file that can be read: {error}") from error
     return _table(rows)
@@ -130,7 +133,7 @@ def _table(prony: Any) -> np.ndarray:
     except (TypeError, ValueError):
         rows = np.zeros(0)
     if rows.ndim != 2 or rows.shape[1] != 2 or not len(rows) or not (np.isfinite(rows) & (rows > 0)).all():
-        expected = "rows [g, tau] of two numbers > 0, a share of the modulus and a time in s"
+        expected = "rows [g, tau] of two numbers > 0: a share g of the modulus, and a time tau in s"
         raise ParameterError("prony_network.prony", prony, expected)
     return rows
 

@@ -158,20 +158,22 @@ class Thermal(Material):
         if self.expansion and material is not None:
             Gamma = self.expansion * rest_stress_and_modulus(material)[1] / self.c
             if not Gamma > 0:
-                expected = ", or a material whose bulk modulus at rest is > 0"
+                expected = " for a material whose bulk modulus at rest is not > 0"
                 raise ParameterError("Thermal.expansion", self.expansion, None, expected)
         object.__setattr__(self, "_Gamma", Gamma)
 
     def _check_damage(self, material: Material) -> None:
         """Raise ParameterError for a thermal stress that a broken material would keep."""
         if self.gruneisen:
-            expected = " for a material that breaks, whose thermal stress is given by expansion"
+            expected = (
+                " for a material that breaks, since expansion gives the thermal stress of such a material"
+            )
             raise ParameterError("Thermal.gruneisen", self.gruneisen, None, expected)
         if getattr(material, "part", None) != "all":
             expected = (
-                " for damage of the tensile part, since the thermal stress would stay in a broken body; "
+                " for damage of the tensile part, since the thermal stress would stay in a broken body; take "
             )
-            remedy = (call("Damaged", part="all"), " takes it")
+            remedy = (call("Damaged", part="all"),)
             raise ParameterError("Thermal.expansion", self.expansion, None, expected, *remedy)
 
     def with_elastic_state(self, state: ElasticState) -> Self:

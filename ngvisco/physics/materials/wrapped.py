@@ -189,8 +189,9 @@ class Yosida(Wrapper):
 
     def energy(self, z: Values) -> Tensor:
         raise NgviscoError(
-            "a Yosida approximation has no expression: use ngvisco.physics.pointwise.respond(material, dim), "
-            "which gives its energy and derivatives for arrays of states"
+            "the energy of a Yosida approximation is not an expression; use "
+            "ngvisco.physics.pointwise.respond(material, dim), which gives the energy and its derivatives "
+            "for arrays of states"
         )
 
     def response(self, dim: int) -> Respond:
@@ -254,17 +255,17 @@ class _Approximation:
     def _failure(
         self, states: np.ndarray, finite: np.ndarray, solved: np.ndarray, definite: np.ndarray
     ) -> str | None:
-        text = f"Yosida approximation with eps = {self.eps:g}: "
+        text = f"the Yosida approximation with eps = {self.eps:g} has "
         if len(finite) < len(states):
-            return f"{text}the variables are not finite at {len(states) - len(finite)} points"
+            return f"{text}variables that are not finite at {len(states) - len(finite)} points"
         for good, at, fault, remedy in (
             (solved, finite, "no minimiser at {} points", ", or stays finite at the end of its domain"),
-            (definite, finite[solved], "{} points are no minima", ", take a smaller eps"),
+            (definite, finite[solved], "no minimum at {} stationary points", "; take a smaller eps"),
         ):
             if not good.all():
                 example = np.array2string(states[at[~good][0]], precision=4)
                 description = f"{fault.format(int((~good).sum()))}, e.g. for the components {example}"
-                return f"{text}{description}: the energy is not convex{remedy}"
+                return f"{text}{description}, since the energy is not convex{remedy}"
         return None
 
     def _minimise(self, z: np.ndarray) -> tuple[np.ndarray, Response, np.ndarray]:

@@ -182,7 +182,7 @@ class Preconditioner:
         largest = (options.direct_at_most if jumps else options.direct_up_to)[self.dim - 2]
         if count <= largest:
             self.without_multigrid = (
-                f"the {count} unknowns of v are factorised as a whole, as are up to {largest}"
+                f"the {count} unknowns of v are factorised as a whole, like every number up to {largest}"
             )
             return whole()
         if count <= options.direct_at_most[self.dim - 2]:
@@ -194,7 +194,7 @@ class Preconditioner:
             unknowns = " and ".join(
                 _IN_WORDS.get(name, name) for name in self.unknowns.velocity_block if name != "v"
             )
-            self.without_multigrid = f"with {unknowns} beside v the matrix is not positive definite"
+            self.without_multigrid = f"the matrix with {unknowns} in addition to v is not positive definite"
         self._multigrid = self._coarse != "direct" and self.without_multigrid is None
         self._kernel = rigid_motions(mesh, width, len(free)) if self._multigrid else None
         return TwoLevelSolver(free, vertices, beside_v, self._factorised, exchange)
@@ -210,7 +210,10 @@ class Preconditioner:
                 return solver
             except StepError as error:
                 solver.release()
-                how = f"coarse = {self._coarse!r}: {error}; the velocities of the vertices are factorised"
+                how = (
+                    f"coarse = {self._coarse!r} is not used ({error}); the matrix of the vertices is "
+                    "factorised"
+                )
                 self.ranks.warn(how, InputWarning)
         solver = direct_solver(free, self._of_tangent, symmetric)
         solver.factorise(matrix)

@@ -126,7 +126,7 @@ class Split:
         except StepError as error:  # a factorisation failed
             return Solution(Status.SINGULAR, tuple(history), str(error))
         except (FloatingPointError, np.linalg.LinAlgError) as error:
-            reason = f"the split solver met a singular block: {error}"
+            reason = f"a block of the split solver is singular: {error}"
             return Solution(Status.SINGULAR, tuple(history), reason)
         if status is Status.CONVERGED:
             # for the ledger and output, which read the energy at the quadrature points
