@@ -1,12 +1,14 @@
 """Error over seconds by order, cells, step and scheme: ``python -m tests.benchmarks.answers [PROBLEM ...]``.
 
 The error is that of the kinetic energy at the end, against a finer run with the midpoint rule, half of the
-smallest step and velocities of degree 3; for the ball, against the closed form. For the soft disc it is the
+smallest step and velocities of degree 3; for the ball, against the closed form.  For the soft disc it is the
 distance of the centroid, over the length of its path, from the path by another method on 128 x 128 cells
-(``tests/verification/immersed.py``), which has rows for coarser grids too. Seconds are processor time of one
-thread without the set-up. The column "relative" has them as multiples of the run ``UNIT``, which is taken
-before and after each problem: these are comparable between calls. A table marks a problem's runs for which no
-cheaper run has a smaller error. The last table has the seconds of the cheapest run within a given error.
+(``tests/verification/immersed.py``), which has rows for coarser grids too.  The other problems have rows of
+Lagrangian elements of degree 2 by the midpoint rule (``tests/verification/lagrangian_solid.py``).  Seconds
+are processor time of one thread without the set-up.  The column "relative" has them as multiples of the run
+``UNIT``, which is taken before and after each problem: these are comparable between calls.  A table marks a
+problem's runs for which no cheaper run has a smaller error.  The last table has the seconds of the cheapest
+run within a given error.
 """
 
 import argparse
@@ -15,16 +17,35 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import product
+from typing import TypeAlias
 
 import numpy as np
-from ngsolve import CF, IfPos, SetNumThreads, cos, pi, sin, sqrt, x, y, z
+from ngsolve import (
+    CF,
+    Det,
+    IfPos,
+    InnerProduct,
+    Periodic,
+    SetNumThreads,
+    VectorH1,
+    cos,
+    log,
+    pi,
+    sin,
+    sqrt,
+    x,
+    y,
+    z,
+)
 
 import ngvisco as nv
 from ngvisco.geometries import box, sphere, structured_box
 from ngvisco.physics.variables import Jacobian
+from ngvisco.threads import computing
 from tests.benchmarks.table import add_files, against, read, write
 from tests.verification.cases.soft_disc import PATH
 from tests.verification.immersed import CAVITY, computed
+from tests.verification.lagrangian_solid import LagrangianSolid, neo_hookean
 
 SCHEMES = ("backward-euler", "midpoint")
 UNIT = ("shear wave", (2, 1), 6, 20, "midpoint")
@@ -34,25 +55,31 @@ ERRORS = (0.1, 0.03, 0.01, 0.003)
 REFERENCE = ((3, 2), 9, 40, "midpoint")
 """Orders, cells a side, number of steps and scheme of the finer run."""
 
-SOLID = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
-VISCOSITY = nv.StokesViscosity(K_v=0.01, G_v=0.01)
+BULK, SHEAR, EPSILON, ETA = 10.0, 5.0, 0.1, 0.01
+"""K_e, G_e and epsilon, Pa, and the viscosity, Pa s, of all solids; their density is 1 kg/m^3."""
+SOLID = nv.NeoHookean(K_e=BULK, G_e=SHEAR, epsilon=EPSILON)
+VISCOSITY = nv.StokesViscosity(K_v=ETA, G_v=ETA)
 CENTRE = np.array([0.6, 0.5])
 """The soft disc's centre at the start, m."""
+
+
+SWIRLING = CF((sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y)))
+WAVING = CF((0.0, 0.1 * SHEAR**0.5 * cos(2 * pi * x)))
+"""Velocities at the start of the swirl and of the wave, m/s."""
 
 
 def swirl(cells: int, **options: object) -> nv.Simulation:
     """The swirl of ``case`` in a box with walls."""
     hyper = nv.HyperViscosity(mu=1e-5, p=4)
     model = nv.Model(material=SOLID, viscosity=VISCOSITY, hyperviscosity=hyper)
-    velocity = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
     mesh = structured_box((1, 1), (cells, cells))
-    return nv.Simulation(mesh, model, initial=nv.Initial(velocity=velocity), **options)  # type: ignore[arg-type]
+    return nv.Simulation(mesh, model, initial=nv.Initial(velocity=SWIRLING), **options)  # type: ignore[arg-type]
 
 
 def shear_wave(cells: int, **options: object) -> nv.Simulation:
     """A standing wave of 10 % strain in a periodic cell."""
     model = nv.Model(material=SOLID, viscosity=VISCOSITY)
-    initial = nv.Initial(velocity=CF((0.0, 0.1 * 5**0.5 * cos(2 * pi * x))))
+    initial = nv.Initial(velocity=WAVING)
     mesh = structured_box((1, 1), (cells, cells), periodic="xy")
     return nv.Simulation(mesh, model, initial=initial, **options)  # type: ignore[arg-type]
 
@@ -71,29 +98,29 @@ def soft_disc(cells: int, **options: object) -> nv.Simulation:
 
 ROOT, RADIUS, AMPLITUDE = 4.493409457909064, 0.5, 1e-3
 """The first root of tan s = s; the ball's radius, m, and start velocity, m/s."""
+_ALONG = ROOT / RADIUS * sqrt(x * x + y * y + z * z)
+_TURNING = (
+    AMPLITUDE * ROOT / RADIUS * IfPos(_ALONG - 1e-3, (sin(_ALONG) / _ALONG - cos(_ALONG)) / _ALONG**2, 1 / 3)
+)
+TURNING = CF((-_TURNING * y, _TURNING * x, 0.0))
+"""AMPLITUDE j_1(ROOT r/RADIUS) about the z-axis, j_1 a spherical Bessel function, m/s."""
 
 
 def ball(cells: int, **options: object) -> nv.Simulation:
     """A ball that is turned about the z-axis, in its first torsional mode, with its surface at rest.
 
-    The velocity is AMPLITUDE j_1(ROOT r/RADIUS) about the axis, j_1 a spherical Bessel function; cells have
-    the size of the diameter over ``cells``.
+    Cells have the size of the diameter over ``cells``.
     """
-    solid = nv.LinearElastic(K_e=10.0, G_e=SOLID.G_e)
-    s = ROOT / RADIUS * sqrt(x * x + y * y + z * z)
-    bessel_over_s = IfPos(s - 1e-3, (sin(s) / s - cos(s)) / s**2, 1 / 3)
-    turning = AMPLITUDE * ROOT / RADIUS * bessel_over_s
-    initial = nv.Initial(velocity=(-turning * y, turning * x, 0.0))
-    model = nv.Model(material=solid, viscosity=VISCOSITY)
-    mesh = sphere(RADIUS, maxh=2 * RADIUS / cells)
-    return nv.Simulation(mesh, model, initial=initial, walls={"wall": nv.NoSlip()}, **options)  # type: ignore[arg-type]
+    model = nv.Model(material=nv.LinearElastic(K_e=BULK, G_e=SHEAR), viscosity=VISCOSITY)
+    mesh, walls = sphere(RADIUS, maxh=2 * RADIUS / cells), {"wall": nv.NoSlip()}
+    return nv.Simulation(mesh, model, initial=nv.Initial(velocity=TURNING), walls=walls, **options)  # type: ignore[arg-type]
 
 
 def kept_of_ball(t: float) -> np.ndarray:
     """Kinetic energy over that of the start: a mode of the wave equation, damped by viscosity."""
     per_length = (ROOT / RADIUS) ** 2
-    decay = float(VISCOSITY.G_v) * per_length / 2
-    rate = (float(SOLID.G_e) * per_length - decay**2) ** 0.5
+    decay = ETA * per_length / 2
+    rate = (SHEAR * per_length - decay**2) ** 0.5
     return np.array([(np.exp(-decay * t) * (np.cos(rate * t) - decay / rate * np.sin(rate * t))) ** 2])
 
 
@@ -133,7 +160,7 @@ class Problem:
     exact : array, optional
         The exact answer; the default is the answer of ``REFERENCE``.
     peers : callable, optional
-        Gives the name, answer and seconds of runs by other methods.
+        Makes runs by other methods, given the problem and its exact answer.
     """
 
     make: Callable[..., nv.Simulation]
@@ -144,24 +171,79 @@ class Problem:
     steps: tuple[int, ...] = (5, 20)
     schemes: tuple[str, ...] = SCHEMES
     exact: np.ndarray | None = None
-    peers: Callable[[], Iterator[tuple[str, np.ndarray, float]]] = lambda: iter(())
+    peers: Callable[["Problem", np.ndarray], Iterator["Row"]] = lambda *_: iter(())
 
 
-def immersed() -> Iterator[tuple[str, np.ndarray, float]]:
-    """The soft disc until 2 s by Lagrangian triangles in a fixed grid."""
+Row: TypeAlias = tuple[dict, np.ndarray, np.ndarray, float]
+"""A run by another method: its choices, its answer, the exact answer, and its seconds."""
+
+
+def immersed(problem: Problem, exact: np.ndarray) -> Iterator[Row]:
+    """The soft disc by Lagrangian triangles in a fixed grid."""
     for cells in (32, 64):
         began = time.process_time()
-        path = computed(CAVITY, cells, np.array([0.0, 2.0]))
-        yield (
-            f"immersed triangles, {cells} x {cells} cells",
-            path[-1, 1:3] - CENTRE,
-            time.process_time() - began,
-        )
+        path = computed(CAVITY, cells, np.array([0.0, problem.until]))
+        choice = {"scheme": "immersed triangles, explicit", "cells": cells}
+        yield choice, path[-1, 1:3] - CENTRE, exact, time.process_time() - began
+
+
+def per_reference(F: CF) -> CF:
+    """The energy of ``SOLID`` per referential volume, in plane strain."""
+    J, square = Det(F), InnerProduct(F, F) + 1
+    bulk = BULK / 2 * (J - 1 + EPSILON / BULK) ** 2
+    return J * (bulk + SHEAR * J ** (-2 / 3) * square - EPSILON * log(J))
+
+
+def lagrangian_swirl(cells: int, order: int) -> LagrangianSolid:
+    """The swirl without hyperviscosity on a moving mesh."""
+    mesh = structured_box((1, 1), (cells, cells))
+    space = VectorH1(mesh, order=order, dirichletx="left|right", dirichlety="top|bottom")
+    return LagrangianSolid(space, SWIRLING, per_reference, 1.0, ETA)
+
+
+def lagrangian_wave(cells: int, order: int) -> LagrangianSolid:
+    """The wave on a moving mesh."""
+    space = Periodic(VectorH1(structured_box((1, 1), (cells, cells), periodic="xy"), order=order))
+    return LagrangianSolid(space, WAVING, per_reference, 1.0, ETA)
+
+
+def lagrangian_ball(cells: int, order: int) -> LagrangianSolid:
+    """The ball on a moving mesh."""
+    space = VectorH1(sphere(RADIUS, maxh=2 * RADIUS / cells), order=order, dirichlet=".*")
+    return LagrangianSolid(space, TURNING, neo_hookean(BULK, SHEAR), 1.0, ETA)
+
+
+def lagrangian(
+    make: Callable[[int, int], LagrangianSolid], is_share: bool = False, has_own_reference: bool = False
+) -> Callable[[Problem, np.ndarray], Iterator[Row]]:
+    """Runs on a moving mesh by the midpoint rule, with the cells and steps of the problem.
+
+    The answer is the kinetic energy, over that of the start if ``is_share``.  If ``has_own_reference``, the
+    runs are compared with a finer run of degree 3 on a moving mesh.
+    """
+
+    def answer(cells: int, steps: int, until: float, order: int = 2) -> tuple[np.ndarray, float]:
+        solid = make(cells, order)
+        first, began = solid.kinetic if is_share else 1.0, time.process_time()
+        with computing():
+            solid.advance(until, until / steps)
+        return np.array([solid.kinetic / first]), time.process_time() - began
+
+    def rows(problem: Problem, exact: np.ndarray) -> Iterator[Row]:
+        if has_own_reference:
+            (order, _), cells, steps, _ = REFERENCE
+            exact, _ = answer(cells, steps, problem.until, order)
+        for cells, steps in product(problem.cells, problem.steps):
+            choice = {"scheme": "Lagrangian P2, midpoint", "cells": cells, "dt": problem.until / steps}
+            found, seconds = answer(cells, steps, problem.until)
+            yield choice, found, exact, seconds
+
+    return rows
 
 
 PROBLEMS = {
-    "swirl": Problem(swirl),
-    "shear wave": Problem(shear_wave),
+    "swirl": Problem(swirl, peers=lagrangian(lagrangian_swirl, has_own_reference=True)),
+    "shear wave": Problem(shear_wave, peers=lagrangian(lagrangian_wave)),
     "soft disc": Problem(
         soft_disc,
         displacement,
@@ -174,7 +256,13 @@ PROBLEMS = {
         peers=immersed,
     ),
     "ball": Problem(
-        ball, kept, orders=((2, 1),), cells=(4, 6, 8), schemes=("midpoint",), exact=kept_of_ball(0.2)
+        ball,
+        kept,
+        orders=((2, 1),),
+        cells=(4, 6, 8),
+        schemes=("midpoint",),
+        exact=kept_of_ball(0.2),
+        peers=lagrangian(lagrangian_ball, is_share=True),
     ),
 }
 
@@ -195,10 +283,11 @@ def rows_of(name: str) -> list[dict]:
     """A problem's runs, the cheapest first; a run is "best" if no cheaper run has a smaller error."""
     problem = PROBLEMS[name]
     exact = measured(name, *REFERENCE)[0] if problem.exact is None else problem.exact
-    size, rows = float(np.linalg.norm(exact)), []
+    rows: list[dict] = []
     units = [measured(*UNIT)[1]]
 
-    def add(choice: dict, answer: np.ndarray, seconds: float) -> None:
+    def add(choice: dict, answer: np.ndarray, exact: np.ndarray, seconds: float) -> None:
+        size = float(np.linalg.norm(exact))
         error = float(np.linalg.norm(answer - exact)) / size
         rows.append({"problem": name, **choice, "error": error, "seconds": seconds, "exact": size})
 
@@ -206,9 +295,10 @@ def rows_of(name: str) -> list[dict]:
         problem.orders, problem.cells, problem.steps, problem.schemes
     ):
         choice = {"scheme": scheme, "k": k, "m": m, "cells": cells, "dt": problem.until / steps}
-        add(choice, *measured(name, (k, m), cells, steps, scheme))
-    for peer, answer, seconds in problem.peers():
-        add({"scheme": peer}, answer, seconds)
+        answer, seconds = measured(name, (k, m), cells, steps, scheme)
+        add(choice, answer, exact, seconds)
+    for row in problem.peers(problem, exact):
+        add(*row)
     units.append(measured(*UNIT)[1])
     rows.sort(key=lambda row: row["seconds"])
     least = float("inf")
@@ -220,8 +310,9 @@ def rows_of(name: str) -> list[dict]:
 
 
 def _choice(row: dict) -> str:
-    """Orders, cells a side and step of a run; empty for another method."""
-    return f"{row['k']}, {row['m']} | {row['cells']} | {row['dt']:g}" if "k" in row else "| |"
+    """Orders, cells a side and step of a run; another method has no orders, and may have no step."""
+    orders = f"{row['k']}, {row['m']}" if "k" in row else ""
+    return f"{orders} | {row['cells']} | {row.get('dt', ''):{'g' if 'dt' in row else ''}}"
 
 
 def markdown(rows: list[dict]) -> str:
@@ -233,7 +324,9 @@ def markdown(rows: list[dict]) -> str:
     for row in rows:
         cost = f"{row['seconds']:.1f} | {row['relative']:.2g} | {'*' if row['best'] else ''}"
         lines.append(f"| {row['scheme']} | {_choice(row)} | {row['error']:.2%} | {cost} |")
-    return "\n".join([*lines, "", f"Size of the reference: {rows[0]['exact']:.6g}.", ""])
+    return "\n".join(
+        [*lines, "", f"Size of the exact answer: {next(row for row in rows if 'k' in row)['exact']:.6g}.", ""]
+    )
 
 
 def to_the_same_error(rows: list[dict]) -> str:
