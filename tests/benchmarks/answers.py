@@ -337,7 +337,8 @@ def to_the_same_error(rows: list[dict]) -> str:
     for error, (problem, ours) in product(ERRORS, methods):
         within = [r for r in rows if (r["problem"], "k" in r) == (problem, ours) and r["error"] <= error]
         if not within:
-            lines.append(f"| {error:.1%} | {problem} | | | | {'none' if ours else 'no other method'} | | |")
+            none = "no run" if ours else "no run of the other method"
+            lines.append(f"| {error:.1%} | {problem} | | | | {none} | | |")
             continue
         row = min(within, key=lambda row: row["seconds"])
         what = f"{problem} | {_choice(row)} | {row['scheme']}"
