@@ -38,7 +38,7 @@ def test_the_page_s_command_divides_a_run(tmp_path):
     found = launched([*words, "-o", str(tmp_path / "out")])
     assert found.returncode == 0, found.stderr
     log = (tmp_path / "out" / "log.txt").read_text()
-    assert "on 3 ranks, 2 of them with cells" in log and "finished" in log
+    assert "3 ranks, 2 of them with cells" in log and "finished" in log
 
 
 def test_a_missing_package_is_named(capsys, monkeypatch):
