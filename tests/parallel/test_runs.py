@@ -292,7 +292,7 @@ def test_a_run_goes_on_with_any_number_of_ranks(case_file, tmp_path, case):
     begun = ngvisco("run", case_file, "-o", several, "--set", "time.until=0.02", ranks=3)
     assert begun.returncode == 0, begun.stderr
     assert begun.stdout.count("finished: t = 0.02 s after 1 step") == 1  # the first rank speaks
-    assert "on 3 ranks" in (several / "log.txt").read_text()
+    assert "has 3 ranks" in (several / "log.txt").read_text()
     assert ngvisco("resume", several, "--until", "0.04", "--quiet", ranks=2).returncode == 0
     assert ngvisco("resume", several, "--until", "0.06", "--quiet").returncode == 0
     assert_same_ledger(rows(alone), rows(several))
