@@ -127,8 +127,7 @@ def _law(value: Any) -> Any:
 def _region(value: Any) -> Any:
     if "t" in parse_region(value).names:
         raise ValueError(
-            "expected a condition that reads only x, y and z, since this place is that of the body at the "
-            "start"
+            "expected a condition that reads only x, y and z, since bodies are placed only at the start"
         )
     return value
 

@@ -107,8 +107,8 @@ def _by_columns(columns: Sequence[str], entries: Sequence[tuple[Storing, Entry]]
     integrands: dict[str, list[Integrand]] = {name: [] for name in columns}
     for term, entry in entries:
         if entry.name not in integrands:
-            expected = f"the name {' or '.join(map(repr, columns))}"
-            raise ParameterError(f"{type(term).__name__}: entry", entry.name, expected)
+            expected = " or ".join(map(repr, columns))
+            raise ParameterError(f"{type(term).__name__}: name of an entry", entry.name, expected)
         integrands[entry.name].append(entry.integrand)
     return {name: _sum(parts) for name, parts in integrands.items()}
 

@@ -289,9 +289,9 @@ def check_material(material: Material) -> None:
         raise ParameterError(field, names, "at least one variable")
     if len(set(names)) < len(names):
         raise ParameterError(field, names, "distinct names")
-    for variable in material.variables:
-        for required in set(variable.requires).difference(names):
-            raise ParameterError(field, names, f"also {required!r}, read by the rate of {variable.name!r}")
+    for v in material.variables:
+        for required in set(v.requires).difference(names):
+            raise ParameterError(field, names, f"also {required!r}, which the rate of {v.name!r} reads")
     for distortion in material.distortions.values():
         tensors = (v for v in material.variables if v.name in distortion)
         frames = {v.frame: v.name for v in tensors if v.frame is not None}

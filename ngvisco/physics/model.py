@@ -262,7 +262,8 @@ class Model:
         is_custom = part_of(material, Thermal) is None and not isinstance(material, Mixture)
         if entropy is not None and is_custom and not (slope := warming(material, entropy)) > 0:
             expected = (
-                f"an energy that is convex in the entropy, but d theta/d s at rest is {slope:.4g} K, not > 0"
+                f"a material whose energy is convex in the entropy, but d theta/d s at rest is {slope:.4g} "
+                "K, not > 0"
             )
             raise ParameterError("Model.material", material, expected)
         if self.heat is not None and self.heat.numerical_heating and material.response(3) is not None:

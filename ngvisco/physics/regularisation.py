@@ -189,9 +189,10 @@ def curvature_of(material: Material, dim: int) -> Curvature:
     if not least > _ZERO:
         raise ParameterError(
             "Regularisation.delta_fields",
-            f"{type(material).__name__}, whose phi'' at rest has the least eigenvalue {least * scale:.3g} Pa",
-            "an energy whose phi'' is positive definite in all variables in which the energy is not linear "
-            "(for one material take WithQuadratic; for several bodies take one volumetric energy)",
+            f"a number > 0 for {type(material).__name__}",
+            f"0, since phi'' at rest has the eigenvalue {least * scale:.3g} Pa; delta_fields needs a phi'' "
+            "that is positive definite in all variables in which the energy is not linear (for one material "
+            "take WithQuadratic; for several bodies take one volumetric energy)",
         )
     inverse = np.linalg.inv(at_rest + linear)
     projection, compliance = np.zeros((2, len(strains), len(strains)))

@@ -92,7 +92,7 @@ class Gradient:
         block = blocks.get(name, "z")
         variable = next((v for v in self.simulation.model.material.variables if v.name == name), None)
         if isinstance(variable, Parameter) and variable.mean != "arithmetic":
-            expected = "a parameter that is carried itself, such as nv.Parameter(..., mean='arithmetic')"
+            expected = "a parameter that the matter carries, such as nv.Parameter(..., mean='arithmetic')"
             raise ParameterError("Gradient.density", name, expected)
         result = GridFunction(layout.scalar_space(block))
         begin = layout.ranges[block].start + (scalars[name].start * len(result.vec) if name in scalars else 0)

@@ -110,24 +110,27 @@ class Trajectory:
 
     def __post_init__(self) -> None:
         run = self.simulation
-        refused = {
-            "damage": run.rothe_step.damage is not None and "the growth of damage has no derivative",
-            "walls": any(name in run.rothe_step.walls.multiplied for name in run.rothe_step.walls.pistons)
-            and "the impulse of a piston on an oblique or curved wall at a step's end has no derivative",
-            "relaxation": run.arguments["time"].relaxation
-            and "the lengths of relaxed steps depend on the solution",
-            "mesh": run.ranks.is_distributed
-            and "derivatives need one process, and this run has several ranks",
-            "interfaces": bool(run.rothe_step.context.recovered_slopes)
-            and "with constants in cells the direction of interfaces between viscosities has no derivative",
-            "material": self._lacks_derivatives()
-            and "diffusion and laws of the pressure have no derivative with an energy without an expression",
-        }
-        for part, reason in refused.items():
-            if reason:
-                raise ParameterError(
-                    f"gradient: {part}", str(part), f"a run that has derivatives, but {reason}"
-                )
+        walls = run.rothe_step.walls
+        for is_refused, reason in (
+            (run.rothe_step.damage is not None, "the growth of damage has no derivative"),
+            (
+                any(name in walls.multiplied for name in walls.pistons),
+                "the impulse of a piston on an oblique or curved wall at a step's end has no derivative",
+            ),
+            (run.arguments["time"].relaxation, "the lengths of relaxed steps depend on the solution"),
+            (run.ranks.is_distributed, "derivatives need one process, and this run has several ranks"),
+            (
+                bool(run.rothe_step.context.recovered_slopes),
+                "with constants in cells the direction of interfaces between viscosities has no derivative",
+            ),
+            (
+                self._lacks_derivatives(),
+                "diffusion and laws of the pressure have no derivative with an energy without an expression",
+            ),
+        ):
+            if is_refused:
+                expected = f"a run that has derivatives, but {reason}"
+                raise ParameterError("gradient.simulation", "the given run", expected)
         self._begin()
 
     def _lacks_derivatives(self) -> bool:

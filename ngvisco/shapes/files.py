@@ -141,7 +141,10 @@ def _connected_parts(path: str | os.PathLike[str], corners: np.ndarray, size: fl
     sense = np.bincount(where, weights=np.sign(edges[:, 1] - edges[:, 0]))
     open_edges = int(np.count_nonzero(sense))
     if open_edges:
-        expected = f"a closed surface, but {open_edges} of {len(sense)} edges have triangles on one side only"
+        expected = (
+            f"a file of a closed surface, but {open_edges} of {len(sense)} edges have triangles on one side "
+            "only"
+        )
         raise ParameterError("ClosedSurface.path", path, expected)
     owner = np.tile(np.flatnonzero(whole), 3)
     count = len(triangles) + len(sense)  # nodes of the graph: triangles and edges

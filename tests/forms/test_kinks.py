@@ -83,7 +83,7 @@ def test_a_polygon_has_to_be_declared(wall):
 def test_a_wall_that_is_no_polygon_is_not_declared_one(mesh, wall):
     """The declaration would have no effect."""
     with pytest.raises(
-        nv.ParameterError, match=r"walls\['wall'\]\.straight = True: expected False: .* not bent"
+        nv.ParameterError, match=r"walls\['wall'\]\.straight = True: expected False, .* not bent"
     ):
         Walls(mesh(), {"wall": wall})
 

@@ -75,7 +75,7 @@ def test_two_parameters_of_one_name_are_refused_wherever_they_stand():
         partial(nv.Model, bodies=bodies(one, one, G_v=five)),
     )
     for make in (*of_bodies, partial(of_one_material, five)):
-        with pytest.raises(nv.ParameterError, match="'chi': expected distinct names"):
+        with pytest.raises(nv.ParameterError, match="'chi': expected a name that no other parameter has"):
             make()
     assert [v.name for v in of_one_material(one).material.variables] == ["J", "chi"]
     carried = [v for v in nv.Model(bodies=bodies(one, one, G_v=one)).material.variables if v.name == "chi"]

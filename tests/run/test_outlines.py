@@ -216,7 +216,7 @@ def test_a_body_whose_outline_meets_itself_is_warned_of_once(slit):
         table._sample(run)
     said = [str(one.message) for one in said if one.category is nv.SelfContactWarning]
     assert len(said) == (slit < 0.3)
-    assert all(re.search(r"body 'e' face each other at [01]\.\d", text) for text in said)
+    assert all(re.search(r"body 'e' face each other at a distance of [01]\.\d", text) for text in said)
 
 
 def test_contours_are_rows_and_lines_for_paraview(tmp_path):

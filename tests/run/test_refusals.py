@@ -266,7 +266,7 @@ def test_bad_parameter_is_named_with_its_value(make, value, field, expected):
 LISTS = """\
 CustomMaterial(transported=(), stored_energy=_) | lambda: CF(1) | CustomMaterial.variables | at least one
 CustomMaterial(transported=TWICE, stored_energy=_) | lambda F: F[0] | CustomMaterial.variables | distinct
-CustomMaterial(transported=K, stored_energy=_) | lambda K: -K | CustomMaterial.variables | also 'A', read by
+CustomMaterial(transported=K, stored_energy=_) | lambda K: -K | CustomMaterial.variables | also 'A', which
 Composite(rules=_) | (3,), | Composite.rules | a sequence of FlowRule objects
 Heat(conductivity=_) | np.diag([1.0, 1.0, -1.0]) | Heat.conductivity | positive semidefinite
 Heat(conductivity=_) | lambda theta: 1 - theta | Heat.conductivity | a function of the temperature

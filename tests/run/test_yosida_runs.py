@@ -92,6 +92,8 @@ def test_a_users_energy_without_a_minimum_is_refused_with_the_reason() -> None:
     concave = nv.CustomMaterial(transported=(Distortion(), Jacobian()), stored_energy=energy)
     with (
         pytest.warns(ConvexityWarning, match="Yosida: the stored energy is not convex"),
-        pytest.raises(InitialDataError, match=r"initial stored energy: Yosida .* eps = 0.001: no minimiser"),
+        pytest.raises(
+            InitialDataError, match=r"initial stored energy: .*Yosida .* eps = 0.001 has no minimiser"
+        ),
     ):
         simulation(nv.Yosida(material=concave, eps=0.001), initial=nv.Initial(F=3 * CF(Id(3))))

@@ -217,7 +217,7 @@ class Network(Material):
         """Raise ParameterError if two variables of the branches have one name."""
         names = [v.name for v in self.variables]
         if twice := [name for name in names if names.count(name) > 1]:
-            expected = f"other names, since two variables of the branches would have the name {twice[0]!r}"
+            expected = f"other names of branches, since two variables would have the name {twice[0]!r}"
             raise ParameterError("Network.branches", list(self.parts), expected)
 
     def _check_volume(self) -> None:

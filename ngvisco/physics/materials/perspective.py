@@ -290,18 +290,19 @@ class ReferenceEnergy(Material):
         coupled = abs(hessian[:, volume] * tensors).max(initial=0.0)
         if not len(hessian) or not coupled <= _ROUNDING * abs(hessian).max():
             expected: str = Words(
-                "an energy f(B) + U(J) per reference volume, since other energies are not convex per "
-                "reference volume; IsochoricNeoHookean, ReferentialNeoHookean, ReferentialMooneyRivlin, ",
+                "a material with an energy f(B) + U(J) per reference volume, since other energies are not "
+                "convex per reference volume; IsochoricNeoHookean, ReferentialNeoHookean, "
+                "ReferentialMooneyRivlin, ",
                 call("PerReferentialVolume", material=...),
                 ' with elastic_state = "B" have such an energy',
             )
             raise ParameterError(self.owner, self.material, expected)
         if not (hessian[:, volume, volume] > 0).all() and not self.is_gas:
-            expected = "an energy per reference volume whose second derivative by J is positive"
+            expected = "a material whose energy per reference volume has a positive second derivative by J"
             raise ParameterError(self.owner, self.material, expected)
         report = check_convexity(self, warn=False)
         if not report.passed:
-            expected = f"an energy that is convex per reference volume, but J phi is {report}"
+            expected = f"a material whose energy is convex per reference volume, but J phi is {report}"
             raise ParameterError(self.owner, self.material, expected)
 
 

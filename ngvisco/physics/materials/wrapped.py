@@ -116,7 +116,9 @@ class WithQuadratic(Wrapper):
             raise UnknownNameError("material variable", name, strain_names, "WithQuadratic.only")
         having = [form for form, names in zip(forms, strains, strict=True) if named <= names]
         if not having:
-            raise ParameterError("WithQuadratic.only", self.only, "variables of one form, by F or by B")
+            raise ParameterError(
+                "WithQuadratic.only", self.only, "either only variables with F, or only variables with B"
+            )
         if len(having) == 1:  # names of variables that only one form has choose this form
             object.__setattr__(self, "material", having[0])
 
