@@ -1,5 +1,7 @@
 """Small operations with SciPy's sparse matrices."""
 
+import math
+
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
@@ -142,16 +144,23 @@ class ElementAssembly:
         """Prepare the pattern for the cells' ``unknowns`` (cells, local) among ``width`` unknowns."""
         flat = unknowns[:, :, None].astype(np.int64) * width + unknowns[:, None, :]
         keys, position = np.unique(flat.ravel(), return_inverse=True)
-        self.width, self._position = width, position.astype(np.int32)
+        del flat
+        self.width, self._unknowns = width, unknowns.astype(np.int32)
         self._columns = (keys % max(width, 1)).astype(np.int32)
         self._ends = np.searchsorted(keys, width * np.arange(width + 1))
+        # places within rows are small numbers, which take fewer bytes than places in the matrix
+        position = position.reshape(*unknowns.shape, unknowns.shape[1])
+        position -= self._ends[unknowns][:, :, None]
+        self._place = position.astype(np.min_scalar_type(int(position.max(initial=0))))
 
     def __call__(self, elements: np.ndarray) -> sp.csr_matrix:
         """Assemble element matrices (cells, local, local)."""
-        values, flat = np.zeros(len(self._columns)), elements.reshape(-1)
-        for first in range(0, len(flat), _AT_ONCE):
-            chunk = slice(first, first + _AT_ONCE)
+        values, entries = np.zeros(len(self._columns)), max(math.prod(elements.shape[1:]), 1)
+        for first in range(0, len(elements), at_once := max(_AT_ONCE // entries, 1)):
+            chunk = slice(first, first + at_once)
+            position = self._ends[self._unknowns[chunk]][:, :, None] + self._place[chunk]
             # NumPy adds numbers of other types one by one, seventeen times slower
-            np.add.at(values, self._position[chunk].astype(np.intp), flat[chunk].astype(float, copy=False))
+            numbers = elements[chunk].astype(float, copy=False)
+            np.add.at(values, position.astype(np.intp, copy=False).ravel(), numbers.ravel())
         pattern = self._columns.copy(), self._ends.copy()
         return sp.csr_matrix((values, *pattern), shape=(self.width, self.width))

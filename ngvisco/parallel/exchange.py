@@ -102,6 +102,8 @@ class Exchange(Owned):
     @cached_property
     def owned(self) -> np.ndarray:
         """Whether this rank is the lowest that has the unknown, (unknowns,)."""
+        if not self.shared:
+            return np.broadcast_to(np.True_, self.count)  # one byte of memory
         mine = np.ones(self.count, dtype=bool)
         for rank, numbers in self.shared.items():
             if rank < self.communicator.rank:

@@ -209,12 +209,29 @@ class SideContext(_PointContext):
         """``samples`` holds values of functions at the points of all sides, taken once a step."""
         super().__init__(step, operators, step.tabulated_rates)
         self.samples, self.reach = samples, step.context.reach
-        self.normal, self.inner = Array(operators.normals, None), Array(operators.inner, None)
-        self.crossed = Array(operators.crossed, None)
 
     def start(self) -> None:
         """Forget the sampled functions of the last step."""
         self.samples.clear()
+
+    def _of_sides(self, name: str) -> Array:
+        """Values of an attribute of ``SideOperators``; equal for all reads of a program."""
+        return Array(datum(partial(getattr, self._op, name), id(self._op), name), None)
+
+    @property
+    def normal(self) -> Array:
+        """See ``SideOperators``."""
+        return self._of_sides("normals")
+
+    @property
+    def inner(self) -> Array:
+        """See ``SideOperators``."""
+        return self._of_sides("inner")
+
+    @property
+    def crossed(self) -> Array:
+        """See ``SideOperators``."""
+        return self._of_sides("crossed")
 
     def given(self, value: CoefficientFunction) -> Array:
         """The value of a scalar, a vector or a matrix at the end of the step, see ``Context.given``."""

@@ -51,9 +51,14 @@ class SideJumps:
         )
         """The matrix from (v, a), side by side, to j."""
         self.op, self._context = op, hyper.step.context
-        self.weights, self.h = op.weights, op.h
+        self.weights = op.weights
         if not hyper.law.is_linear:
             self.scalar = op.of("hess_square")
+
+    @property
+    def h(self) -> np.ndarray:
+        """Sizes of the points' cells, m, (points,)."""
+        return self.op.h
 
     def values(self, j: np.ndarray, s: np.ndarray | None, z: np.ndarray) -> Fields:
         """Fields on the sides: the jumps ``j``, and |Hs|^2 and z from their coefficients ``s`` and ``z``."""

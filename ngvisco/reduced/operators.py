@@ -109,23 +109,33 @@ class SideOperators(PointOperators):
     """Operators at the points of the cells' sides.
 
     ``inner``, (points,), is 1 between two cells and 0 on walls; ``crossed`` is 1 also on walls through which
-    matter may flow.
+    matter may flow.  Both and the normals are computed at each access.
     """
 
     def __init__(self, step: Step) -> None:
         points = SidePoints(step.mesh, step.quadrature.facet_degree, step.layout.symmetry)
         super().__init__(step, points, points.per_cell)
-        context, self.normals = step.context, points.normals
-        self.inner = self.crossed = np.round(points.sample(context.inner))
+        context = step.context
+        # one byte a point, since large meshes have many points
+        self._inner = self._crossed = np.round(points.sample(context.inner)) == 1
         if context.crossed is not context.inner:
-            self.crossed = np.round(points.sample(context.crossed))
+            self._crossed = np.round(points.sample(context.crossed)) == 1
 
-    def part(self, cells: slice) -> SideOperators:
-        part = super().part(cells)
-        where = part.places
-        part.inner, part.crossed = self.inner[where], self.crossed[where]
-        part.normals = self.normals[:, where]
-        return part
+    @property
+    def normals(self) -> np.ndarray:
+        """Unit outer normals of the cells at this part's points, (dim, points)."""
+        normals: np.ndarray = self.points.normals_of(self.places)
+        return normals
+
+    @property
+    def inner(self) -> np.ndarray:
+        """See the class, for this part's points."""
+        return self._inner[self.places].astype(float)
+
+    @property
+    def crossed(self) -> np.ndarray:
+        """See the class, for this part's points."""
+        return self._crossed[self.places].astype(float)
 
 
 class FacetMass:

@@ -124,7 +124,8 @@ class SidePoints:
         self.sides = self._tests.ndof
         self.per_cell = self.sides // max(mesh.ne, 1)
         """Number of sides of a cell."""
-        self._measure = self._loads(CF(1.0))
+        self._is_straight = mesh.GetCurveOrder() <= 1
+        self._measure = self._constant(self._loads(CF(1.0)))
         self.weights = (np.array(rule.weights)[None] * self._measure).ravel()
         """Weight times Jacobian, (points,), m^(dim - 1); times r in a body of revolution."""
         if symmetry.on_facets is not None:
@@ -143,15 +144,33 @@ class SidePoints:
             result[:, q] = form.Assemble().vec.FV().NumPy()
         return result
 
+    def _constant(self, values: np.ndarray) -> np.ndarray:
+        """``values``, (..., points of a side), or only the first point's if sides are straight, where they
+        have to be constant on each side."""
+        return values[..., :1].copy() if self._is_straight else values
+
     def sample(self, value: CoefficientFunction) -> np.ndarray:
         """Values of a scalar function at the points, (points,)."""
         return (self._loads(value) / self._measure).ravel()
 
     @cached_property
+    def _normals(self) -> np.ndarray:
+        n, shape = specialcf.normal(self.mesh.dim), (self.sides, self.per_side)
+        samples = (self.sample(n[i]).reshape(shape) for i in range(self.mesh.dim))
+        return np.stack([self._constant(sample) for sample in samples])
+
+    def normals_of(self, points: slice) -> np.ndarray:
+        """Unit outer normals of the cells at a range of points of whole sides, (dim, points).
+
+        One normal is stored for a straight side."""
+        sides = self._normals[:, points.start // self.per_side : points.stop // self.per_side]
+        shape = self.mesh.dim, sides.shape[1], self.per_side
+        return np.broadcast_to(sides, shape).reshape(self.mesh.dim, sides.shape[1] * self.per_side)
+
+    @property
     def normals(self) -> np.ndarray:
         """Unit outer normals of the cells, (dim, points)."""
-        n = specialcf.normal(self.mesh.dim)
-        return np.stack([self.sample(n[i]) for i in range(self.mesh.dim)])
+        return self.normals_of(slice(0, self.count))
 
     def values(self, space: FESpace) -> sp.csr_matrix:
         """The matrix that takes coefficients of a scalar space to values at the points."""
@@ -171,11 +190,12 @@ class SidePoints:
         """The matrix (points, unknowns) of a scalar ``value``, linear in the space's functions."""
         form_value = value(space.TrialFunction())
         data, columns, rows = [], [], []
+        measure = np.broadcast_to(self._measure, (self.sides, self.per_side))
         for q, rule in enumerate(self.rules):
             form = BilinearForm(trialspace=space, testspace=self._tests)
             form += form_value * self._tests.TestFunction() * self._dx(rule)
             part = csr(form.Assemble().mat).tocoo()
-            data.append(part.data / self._measure[part.row, q])
+            data.append(part.data / measure[part.row, q])
             columns.append(part.col)
             rows.append(part.row * self.per_side + q)
         values = np.concatenate(data)

@@ -143,8 +143,7 @@ class TransportSweeps:
         self.coupling = FacetCoupling(residual.side_op, residual.trace_mass)
         op = residual.op
         self._shape = (self.coupling.cells, op.z.per_cell, 1)
-        self._tests = np.ascontiguousarray(op.tests())
-        self._mass = np.matmul(self._tests, op.z.blocks)
+        self._mass = np.matmul(np.ascontiguousarray(op.tests()), op.z.blocks)
         self._flat: np.ndarray | None = None
         """A cell's basis functions without their slopes, at the points of the cell's sides, for matter that
         flows in through walls."""
@@ -238,7 +237,7 @@ class TransportSweeps:
         """int (v . grad z) q in cells, (cells, q, q)."""
         v, derivatives = at.cells.v.value, self.residual.op.slopes("z")
         along = sum(v_j.reshape(self._shape) * D.blocks for v_j, D in zip(v, derivatives, strict=True))
-        return np.matmul(self._tests, along)
+        return np.matmul(np.ascontiguousarray(self.residual.op.tests()), along)
 
     def linearise(self) -> None:
         """Factorise a nonlinear density equation at the present state."""
