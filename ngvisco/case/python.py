@@ -31,7 +31,7 @@ def python_material(
     path : str
         The Python file, relative to the case file; a run directory has a copy.
     law : str
-        Name, in the Python file, of a class derived from ngvisco.Material or of a function that returns a material.
+        Name, in the file, of a class derived from ngvisco.Material or of a function that returns a material.
     parameters : mapping of names to numbers, optional
         Arguments of the class or function, in SI units.
     """
