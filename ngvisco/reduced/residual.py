@@ -220,11 +220,12 @@ class ReducedResidual:
     def start(self, records: bool = False) -> None:
         """Evaluate the data that are constant during the step.
 
-        With ``records`` the caller says that all data stay as they are until the next call: programs then
-        evaluate the terms (``Programs``)."""
+        With ``records`` the caller says that all data stay as they are until the next call: on one process
+        programs then evaluate the terms of a small mesh (``Programs``)."""
         count = self.op.points.count
-        runs = records and self.slope.is_local and len(self.parts) == 1 and count <= RECORDED
-        context = self.step.context
+        # over ranks a function exchanges values, and no rank may evaluate it more often than another one
+        is_alone, is_small = not self.ranks.is_distributed, len(self.parts) == 1 and count <= RECORDED
+        runs, context = records and is_alone and is_small and self.slope.is_local, self.step.context
         self.programs.start(runs, context.tau.Get(), context.curvature.Get())
         self.cell_terms.context.sampled.start()
         self.carried_terms.context.sampled.start()
