@@ -171,7 +171,7 @@ def _go(
     # an end time given to ``resume`` is an output time too
     simulation.observers += [*case.observers(place.path, end), log, *observers]
     if ranks.is_distributed:
-        notes.append(f"the run is on {ranks.size} ranks, {ranks.size - 1} of them with cells")
+        notes.append(f"the run has {ranks.size} ranks, {ranks.size - 1} of them with cells")
     if simulation.number:
         notes.append(
             f"the run goes on from the checkpoint of step {simulation.number}, t = {simulation.t:g} s"
