@@ -326,7 +326,7 @@ class _Search:
             if not self.kept:
                 raise
             if isinstance(error, ParameterError):
-                expected = ("values that the run admits (", words_of(error), ")")
+                expected = ("bounds whose values the run admits (", words_of(error), ")")
                 raise ParameterError("fit.bounds", self.bounds.tolist(), *expected) from error
         except StopRequested as error:
             after = "" if self._restart is None else f"; the same call goes on from {self._restart.folder}"

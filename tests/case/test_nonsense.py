@@ -135,7 +135,7 @@ ONE | LAW -> GASexpansion = 1e-4 | material.expansion: unknown key
 ONE | LAW -> kind = "Damaged"; G_c = 1; length = 1; material = { kind = "BarotropicFluid", B = 1, gamma = 2 }
   | material.material: { kind = "BarotropicFluid", B = 1, gamma = 2 }: expected a material without
 ONE | + [rheology.creep]; kind = "Composite"; rules = [{ kind = "Perzyna", sigma_Y = 1, G_m = 1, Q = 2 }]
-  | rheology.creep.rules.0.Q: 2.0: expected a rule without hardening
+  | rheology.creep.rules.0.Q: 2.0: expected 0, no hardening
 ONE | maxh = 0.5 -> maxh = 0.5; adapt = { field = "G", every = 0.02 } | unknown domain.adapt.field 'G'
 ONE | maxh = 0.5 -> maxh = 0.5; adapt = { field = "J", every = 0.03 } | domain.adapt.every: 0.03: expected a
 ONE | maxh = 0.5 -> maxh = 0.5; adapt = { field = "J", every = 0.02, levels = 9 } | a whole number from 1 to 8

@@ -186,5 +186,7 @@ def test_bounds_with_values_that_the_run_refuses_are_named(case, tmp_path):
     (tmp_path / "data.csv").write_text("time,stored\n0.02,-1\n0.06,-1\n")
     words = ("--by", "material.G_e", "--bounds", "material.G_e=-90,10", "--quiet", "-o", tmp_path / "fit")
     code, _, err = command("fit", case, tmp_path / "data.csv", *words)
-    expected = "--bounds = 'material.G_e=-90,10': expected values that the run admits (material.G_e = "
+    expected = (
+        "--bounds = 'material.G_e=-90,10': expected bounds whose values the run admits (material.G_e = "
+    )
     assert code == 2 and expected in err

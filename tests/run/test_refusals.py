@@ -203,7 +203,7 @@ Eyring(A=1.0, sigma_0=1.0, rate_floor=_) | inf | Eyring.rate_floor | a finite nu
 Activated(rule=_, E=1, theta_R=1) | STOKES | Activated.rule | a FlowRule
 Activated(rule=Creep(G_m=1), E=1, theta_R=1, temperature=_) | -3 | Activated.temperature | a finite number > 0
 Composite(rules=_) | ((),) | Composite.rules | at least one flow rule
-Composite(rules=(Perzyna(sigma_Y=1.0, G_m=1.0, H=_),)) | 1.0 | Composite.rules[0].H | a rule without hardening
+Composite(rules=(Perzyna(sigma_Y=1.0, G_m=1.0, H=_),)) | 1.0 | Composite.rules[0].H | no hardening
 Composite(rules=(Creep(G_m=1.0, nu=_),)) | 1.0 | Composite.rules[0].nu | 0 in a sum of flow rules
 StokesViscosity(K_v=_, G_v=Parameter("theta", start=x)) | -1.0 | StokesViscosity.K_v | a finite number >= 0
 PowerLaw(K_v=1, consistency=_, n=0.5) | 0 | PowerLaw.consistency | a finite number > 0

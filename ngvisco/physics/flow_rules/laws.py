@@ -370,10 +370,7 @@ class Composite(FlowRule):
                     "0 in a sum of flow rules, since a sum has no gradient term",
                 )
             if rule.hardening is not None:
-                expected = (
-                    "a rule without hardening, since a sum of flow rules has no plastic strain for one of "
-                    "them"
-                )
+                expected = "0, no hardening, since a sum of rules has no plastic strain of a single rule"
                 name = "Q" if rule.hardening.H == 0 else "H"
                 value = getattr(rule.hardening, name)
                 raise ParameterError(f"Composite.rules[{i}].{name}", value, expected)

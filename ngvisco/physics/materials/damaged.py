@@ -221,7 +221,7 @@ class Damaged(Wrapper):
         slope, stiffness = rest_stress_and_modulus(self._breaking)
         if not abs(slope) <= 1e-9 * max(abs(stiffness), abs(energy_at_rest)):
             expected = (
-                "a material without stress at rest, such as a Referential one, but d phi/dJ at rest is "
+                "a material without stress at rest, such as ReferentialNeoHookean, but d phi/dJ at rest is "
                 f"{slope:.4g} Pa"
             )
             raise ParameterError("Damaged.material", self.material, expected)

@@ -148,7 +148,10 @@ def _shear_modulus(material: Any) -> tuple[Any, Literal["mandel", "conformation"
         return 2 * (material.G_e + material.G_mr), "mandel"
     if isinstance(material, ReferentialNeoHookean):
         return 2 * material.G_e, "mandel"
-    expected = "a material of small strain, a Referential one, IsochoricNeoHookean, OldroydB or FENEP"
+    expected = (
+        "LinearElastic, ReferentialNeoHookean, ReferentialMooneyRivlin, IsochoricNeoHookean, OldroydB or "
+        "FENEP"
+    )
     if isinstance(material, IsotropicElastic):
         expected += ", since the energy of other materials has no separate part of shear"
     raise ParameterError("prony_network.material", material, expected)
