@@ -250,7 +250,7 @@ class Bounds:
                 worst = self._ranks.most(means)
                 where = self.sampler.place_of_cells(far[np.argsort(-means[far], kind="stable")])
                 self.parted = (
-                    f"{pair} differ by {worst:.0%} in the mean {where}; more than {self.most:.0%} is "
+                    f"the means of {pair} differ by {worst:.0%} {where}; more than {self.most:.0%} is "
                     "refused, since the stress has the same relative error"
                 )
                 return self.parted

@@ -351,7 +351,7 @@ def _faults(body: Body, bodies: Sequence[Body]) -> Iterable[tuple[str, str]]:
     if len(units) > 1:
         yield (
             "material",
-            f"one entropy_unit for all bodies, since these share one entropy, and not {sorted(units)}",
+            f"one entropy_unit for all bodies, not {sorted(units)}, since bodies share one entropy",
         )
     if heat is not None and not warm:
         yield "heat", NO_TEMPERATURE
@@ -378,7 +378,7 @@ def _faults_of_damage(
             "material",
             Words(
                 around,
-                " itself, since a material that wraps another one does not give the damage of the body",
+                " itself, since a material that wraps a damaged one does not give the damage of the body",
             ),
         )
     if broken.area == "reference":

@@ -198,8 +198,8 @@ class Scales:
         if self.k == 2 and slow == 0 and self._is_incompressible:
             lines.append(
                 f"the longitudinal modulus is {self._over_flow:.2g} times the stress of the flow, the larger "
-                "of rho v^2 and G_v v/L: cells with k = 2 lock, and damp motions at constant volume; compare "
-                "with discretisation.k = 3"
+                "of rho v^2 and G_v v/L. Cells with k = 2 then lock: they damp motions at constant volume. "
+                "Compare with discretisation.k = 3"
             )
         if self.k == 1 and slow > 0 and _LOCKS < (fast / slow) ** 2 <= _STIFF:
             lines.append(

@@ -143,7 +143,7 @@ def test_multigrid_without_petsc_is_refused_by_name(monkeypatch):
         (
             lambda: box((1, 1), maxh=0.5),
             "split",
-            "the .* unknowns of v are factorised as a whole, like every number up to 10000",
+            "the .* unknowns of v are factorised as a whole, like all systems of up to 10000",
         ),
         (
             lambda: disc(1.0, maxh=0.9),

@@ -341,9 +341,9 @@ def _moduli(step: Step) -> Iterator[str]:
                 f"the amount of {soft!r}, a polynomial of order m = {m}, is negative, the bodies may have "
                 "no common pressure, so that the run divides steps. Take ",
                 call("Discretisation", k=1, m=0),
-                "; in the plane it needs crossed rectangles (structured_box, crossed = true), since other "
-                "cells of order one lock. If the difference does not matter, give all bodies one volumetric "
-                "energy",
+                "; in the plane these orders need crossed rectangles (structured_box, crossed = true), "
+                "since other cells of order one lock. If the difference does not matter, give all bodies "
+                "one volumetric energy",
             )
 
 

@@ -169,7 +169,7 @@ def grid_field(
         for name, points, axis in zip("xyz", where, axes, strict=False):
             if points.min() < min(axis) or points.max() > max(axis):
                 expected = (
-                    f"a range that contains that of the domain, [{points.min():.6g}, {points.max():.6g}]"
+                    f"a range that contains the range of the domain, [{points.min():.6g}, {points.max():.6g}]"
                 )
                 raise ParameterError(f"grid_field.axes, {name}", [min(axis), max(axis)], expected)
         return np.moveaxis(interpolate(np.array(where).T), 0, -1)

@@ -337,7 +337,7 @@ def _check_continuation(material: Material, values: Given, sampler: Sampler) -> 
             continue
         J = volume_ratio(part, {v.name: values[v.name] for v in part.variables})
         if (least := sampler.extrema(J)[0]) < J_min:
-            expected = f"less than {least:.4g}, the least J at the start, since J < J_min has no barrier"
+            expected = f"less than {least:.4g}, the least J at the start; below J_min there is no barrier"
             raise ParameterError(f"{type(part).__name__}.J_min", J_min, expected)
 
 
@@ -372,7 +372,7 @@ def _check_density(
         range_ = f"rho_0 J_0 is from {low:.7g} to {high:.7g} kg/m^3"
         low, high = sampler.extrema(rho_R)
         referential = f"{low:.7g}" if low == high else f"from {low:.7g} to {high:.7g}"
-        expected = f"rho_0 J_0 = rho_R, which is {referential} kg/m^3; or only one of density and J"
+        expected = f"rho_0 J_0 = rho_R, which is {referential} kg/m^3; or give only the density, or only J"
         raise InitialDataError("density rho_0", range_, expected, "Initial.density")
 
 

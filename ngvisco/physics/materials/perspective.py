@@ -202,13 +202,13 @@ class ReferenceEnergy(Material):
                 "a material with J or 1/J, since bodies share the volume of a point",
             )
         if self.material.response(3) is not None:
-            expected = "a material whose energy is an expression, which that of a Yosida approximation is not"
+            expected = "a material whose energy is an expression, and not a Yosida approximation"
             raise ParameterError(self.owner, self.material, expected)
         values_at_rest = {v.name: v.from_distortion(IDENTITY) for v in self.material.variables}
         if domain := self.material.domain(values_at_rest):
             bounds = ", ".join(f"{name} > 0" for name in domain)
             expected = (
-                "a material whose energy has a value for every strain, but this one has values only for "
+                "a material whose energy has a value for every strain, but this energy has values only for "
                 f"{bounds}"
             )
             raise ParameterError(self.owner, self.material, expected)

@@ -182,7 +182,8 @@ class Preconditioner:
         largest = (options.direct_at_most if jumps else options.direct_up_to)[self.dim - 2]
         if count <= largest:
             self.without_multigrid = (
-                f"the {count} unknowns of v are factorised as a whole, like every number up to {largest}"
+                f"the {count} unknowns of v are factorised as a whole, like all systems of up to {largest} "
+                "unknowns"
             )
             return whole()
         if count <= options.direct_at_most[self.dim - 2]:
