@@ -38,7 +38,7 @@ def python_material(
     try:
         content = Path(path).read_bytes()
     except OSError as error:
-        expected = f"a Python file that can be read, but {Path(path).name} cannot: {error.strerror}"
+        expected = f"a Python file that can be read, but {Path(path).name} cannot be read: {error.strerror}"
         raise ParameterError(f"{KIND}.path", path, expected) from error
     module, arguments = _module(path, content), dict(parameters or {})
     target = getattr(module, law, None)

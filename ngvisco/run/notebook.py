@@ -97,5 +97,5 @@ def data_frame(columns: Mapping[str, np.ndarray]) -> Any:
     try:
         import pandas
     except ImportError as error:
-        raise NotebookError("pandas is missing: pip install pandas") from error
+        raise NotebookError("pandas is missing; run pip install pandas") from error
     return pandas.DataFrame(dict(columns)).set_index("step")

@@ -155,7 +155,7 @@ class NotebookProgress(Progress):
         try:
             import IPython.display as display
         except ImportError as error:
-            raise NotebookError("IPython is missing: pip install ipython") from error
+            raise NotebookError("IPython is missing; run pip install ipython") from error
         self._display: Any = display
 
     def start(self, simulation: Simulation) -> None:

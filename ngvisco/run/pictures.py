@@ -47,7 +47,7 @@ def figure(rows: int, columns: int, size: tuple[float, float]) -> tuple[Any, Any
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise PlotError('matplotlib is missing: pip install "ngvisco[plots]"') from error
+        raise PlotError('matplotlib is missing; run pip install "ngvisco[plots]"') from error
     result = Figure(figsize=size, layout="constrained")
     FigureCanvasAgg(result)
     return result, result.subplots(rows, columns, squeeze=False)

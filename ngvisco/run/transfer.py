@@ -159,7 +159,9 @@ def require_fit(source: Simulation, target: Simulation) -> None:
         raise ParameterError("transfer.target", f"symmetry {has!r}", f"{had!r}, the symmetry of the source")
     if source.mesh.dim != target.mesh.dim:
         raise ParameterError(
-            "transfer.target", f"dimension {target.mesh.dim}", f"{source.mesh.dim}, as in the source"
+            "transfer.target",
+            f"dimension {target.mesh.dim}",
+            f"dimension {source.mesh.dim}, as in the source",
         )
     if target.number or len(target.ledger.rows) > 1:
         raise ParameterError(
@@ -170,7 +172,9 @@ def require_fit(source: Simulation, target: Simulation) -> None:
         raise ParameterError("transfer.target", missing, "passive fields that the source carries too")
     volumes = [Integrate(CF(1.0), run.mesh) for run in (source, target)]
     if abs(volumes[1] / volumes[0] - 1) > _VOLUME:
-        raise MeshError(f"the new mesh has the volume {volumes[1]:.6g}, but the old mesh {volumes[0]:.6g}")
+        raise MeshError(
+            f"the new mesh has the volume {volumes[1]:.6g}, but the old mesh has {volumes[0]:.6g}"
+        )
 
 
 def _located(mesh: Mesh, points: QuadraturePoints) -> Located:

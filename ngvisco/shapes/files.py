@@ -301,7 +301,7 @@ class Image(Shape):
         try:
             image = importlib.import_module("matplotlib.image")
         except ImportError as error:
-            expected = 'an installed matplotlib, which reads images: pip install "ngvisco[plots]"'
+            expected = 'an installed matplotlib, which reads images; run pip install "ngvisco[plots]"'
             raise ParameterError("Image.path", self.path, expected) from error
         if Path(self.path).suffix.lower() != ".png":
             raise ParameterError("Image.path", self.path, "a PNG file, with a name that ends in .png")

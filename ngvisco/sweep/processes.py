@@ -32,7 +32,7 @@ def connected(scheduler: str | None, workers: int) -> Iterator[Any]:
     try:
         import distributed
     except ImportError as error:
-        raise SweepError('dask.distributed is missing: pip install "ngvisco[sweep]"') from error
+        raise SweepError('dask.distributed is missing; run pip install "ngvisco[sweep]"') from error
     if scheduler is None:
         cluster = distributed.LocalCluster(
             processes=False, n_workers=1, threads_per_worker=workers, dashboard_address=None, memory_limit=0

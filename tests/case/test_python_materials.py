@@ -104,7 +104,7 @@ def test_a_run_directory_has_the_file_and_the_hash_its_content(place: Path) -> N
         (
             "path",
             '"sol.py"',
-            r"material\.path.*a Python file that can be read, but sol\.py cannot: No such file",
+            r"material\.path.*a Python file that can be read, but sol\.py cannot be read: No such file",
         ),
         (
             "law",
@@ -124,5 +124,5 @@ def test_what_it_has_not_is_refused_by_the_key(place: Path, key: str, value: str
 
 def test_a_file_that_raises_is_refused(place: Path) -> None:
     (place / "gel.py").write_text("import nowhere\n")
-    with pytest.raises(nv.CaseError, match=r"material\.path.*this raises ModuleNotFoundError"):
+    with pytest.raises(nv.CaseError, match=r"material\.path.*this file raises ModuleNotFoundError"):
         case(place).model(2)

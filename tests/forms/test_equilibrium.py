@@ -90,7 +90,7 @@ def test_constants_in_cells_bear_no_weight_under_velocities_of_higher_order(k):
     fall is left."""
     with pytest.raises(
         nv.ParameterError,
-        match=rf"Discretisation\.m = 0: expected 1 or 2, or m = 0 with k = 1, .* for velocities of order {k}",
+        match=rf"Discretisation\.m = 0: expected 1 or 2, or k = 1 with m = 0, .* for velocities of order {k}",
     ):
         at_rest(density=RHO, discretisation=nv.Discretisation(k=k, m=0))
     options = {"density": RHO, "discretisation": nv.Discretisation(k=k, m=1)}

@@ -83,5 +83,5 @@ def test_a_missing_package_is_named_with_its_installation(module, monkeypatch):
     run = small()
     run.run(0.0)
     monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(NotebookError, match="is missing: pip install"):
+    with pytest.raises(NotebookError, match="is missing; run pip install"):
         run.ledger.frame() if module == "pandas" else nv.NotebookProgress(1.0)

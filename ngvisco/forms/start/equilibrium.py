@@ -102,8 +102,8 @@ class Column:
             self.referential = {"": CF(value_at(rho_R, given))}
         if step.discretisation.m == 0 and step.discretisation.k > 1:
             expected = (
-                "1 or 2, or m = 0 with k = 1, for equilibrium = 'hydrostatic', since a pressure that is "
-                f"constant in cells cannot balance a weight for velocities of order {step.discretisation.k}"
+                "1 or 2, or k = 1 with m = 0, since a pressure that is constant in cells cannot balance the "
+                f"weight of a hydrostatic start for velocities of order {step.discretisation.k}"
             )
             raise ParameterError("Discretisation.m", 0, expected)
         self.J = {name: GridFunction(L2(self.mesh, order=step.discretisation.m)) for name in self.laws}

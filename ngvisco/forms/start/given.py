@@ -160,9 +160,7 @@ def grid_field(
     try:
         interpolate = RegularGridInterpolator(tuple(axes), array, method=method)
     except (TypeError, ValueError) as error:
-        expected = (
-            f"an array with as many values along each axis as the axis has, and increasing axes ({error})"
-        )
+        expected = f"increasing axes, each with as many values as the array has along this axis ({error})"
         raise ParameterError("grid_field.values", f"shape {array.shape}", expected) from error
 
     def sampled(*where: np.ndarray) -> np.ndarray:
