@@ -22,7 +22,8 @@ class Resolvent:
     """
 
     def __init__(self, groups: Sequence[np.ndarray], blocks: Sequence[np.ndarray]) -> None:
-        """``groups`` have the numbers of n components, ``blocks`` the inverses, (cells, q n, q n)."""
+        """Each of ``groups`` has the indices of n components; each of ``blocks`` is (1 - N)^{-1}
+        for one group, (cells, q n, q n)."""
         self.groups, self.blocks, self.cells = groups, blocks, len(blocks[0])
 
     def astype(self, kind: type | np.dtype) -> Resolvent:

@@ -206,8 +206,8 @@ def explain(path: str) -> str:
     paths = [*dict.fromkeys(entry.name for entry in every), *kinds]
     close = [names[name] or name for name in difflib.get_close_matches(last, names, n=2)]
     close = list(dict.fromkeys([*close, *difflib.get_close_matches(path, paths, n=3, cutoff=0.4)]))[:3]
-    hint = f"such as {', '.join(close)}; " if close else ""
-    raise ParameterError("KEY", path, f"a key of a case file, {hint}ngvisco list --keys prints all keys")
+    hint = f", such as {', '.join(close)}" if close else ""
+    raise ParameterError("KEY", path, f"a key of a case file{hint}; ngvisco list --keys prints all keys")
 
 
 def _said_of(kind: str) -> str:

@@ -298,7 +298,8 @@ class CaseSections(Section):
         require_names_and_one_rest(self.bodies)
         if (interval := self.output.vtk.interval) is not None:
             if self.time.until / interval > _MAX_OUTPUT_TIMES:
-                expected = f"at most {_MAX_OUTPUT_TIMES} output times"
+                least = self.time.until / _MAX_OUTPUT_TIMES
+                expected = f"at least {least:g} s, so that there are at most {_MAX_OUTPUT_TIMES} output times"
                 raise ParameterError("output.vtk.interval", interval, expected)
             self.time.built.stepper().check("output.vtk.interval", interval)
         return self

@@ -184,7 +184,8 @@ def _threads(text: str) -> int:
         raise argparse.ArgumentTypeError(f"{text}: expected a whole number >= 1")
     if value > (most := max(os.cpu_count() or 1, _FEW_THREADS)):
         raise argparse.ArgumentTypeError(
-            f"{text}: expected at most {most}, since this machine has {os.cpu_count()} processors"
+            f"{text}: expected at most {most}, the larger of {_FEW_THREADS} and the number of processors of "
+            f"this machine, {os.cpu_count()}"
         )
     return value
 

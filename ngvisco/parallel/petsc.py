@@ -166,7 +166,7 @@ class SumInverse:
                 raise self._refused(error) from error
 
     def _refused(self, reason: object) -> SingularError:
-        return SingularError(f"{self.method} cannot factorise the matrix ({reason})")
+        return SingularError(f"{self.method} cannot be used for the matrix ({reason})")
 
     def _matrix(self, local: sp.csr_matrix) -> Any:
         """Sum of the ranks' matrices in free rows and columns, as AIJ; None on a rank without rows."""

@@ -155,7 +155,7 @@ class Array(_Node):
             return NotImplemented
         other = _array(other)
         if len(self.shape) != len(other.shape):
-            raise TypeError("sums of scalars, vectors and tensors are not defined")
+            raise TypeError("a scalar, a vector and a tensor cannot be added to each other")
         value = operation(self.value, other.value)
         if self.is_constant and other.is_constant:
             return Array(value, None)
@@ -350,7 +350,7 @@ class Linear(_Node):
                 "a linear form can only be added to a form that is linear in the test functions too"
             )
         if self.shape != other.shape:
-            raise TypeError("sums of scalars, vectors and tensors are not defined")
+            raise TypeError("a scalar, a vector and a tensor cannot be added to each other")
         return Linear(self.shape, [(self, _same), (other, _same)])
 
     __radd__ = __add__

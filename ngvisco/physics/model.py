@@ -295,8 +295,8 @@ class Model:
         for name in names:
             if (shorter := name.removesuffix("_momentum")) != name and shorter in names:
                 expected = (
-                    f"other names, since columns of {name!r} would have the names of the momentum of "
-                    f"{shorter!r}"
+                    f"other names, since the centroid of {name!r} and the momentum of {shorter!r} would have "
+                    "columns of the same names"
                 )
                 raise ParameterError("Model.bodies", names, expected)
         law = self.regularisation

@@ -5,7 +5,7 @@ evaluated by its form, every other term by its integrands at points.  A form may
 of the flow's unknowns only: v, the walls' unknowns, the creep rate field.  Newton's matrix contains the
 form's derivatives by the flow's unknowns, but none by rho, z and other unknowns.  The residual is exact; the
 more strongly a form depends on rho and z, the more iterations a step takes.  A term that contradicts its
-declaration is refused by name.
+declaration raises an error with the term's name.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ class Couplings:
 
     @property
     def across_facets(self) -> list[PointTerm]:
-        """Terms other than transport through which a cell acts on its neighbours' fields across facets."""
+        """Terms by which a cell acts on its neighbours' fields across facets, without transport."""
         return [term for term in self.at_points if term.couples == "facet"]
 
     def components_across_facets(self) -> list[int]:

@@ -215,7 +215,7 @@ class SideContext(_PointContext):
         self.samples.clear()
 
     def _of_sides(self, name: str) -> Array:
-        """Values of an attribute of ``SideOperators``; equal for all reads of a program."""
+        """Values of an attribute of ``SideOperators``; all reads in a program get the same array."""
         return Array(datum(partial(getattr, self._op, name), id(self._op), name), None)
 
     @property

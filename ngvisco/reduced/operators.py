@@ -89,7 +89,7 @@ class PointOperators:
 
 
 class Operators(PointOperators):
-    """Operators at the cells' points of the quadrature rule of degree 2 ``order``."""
+    """Operators at the cells' points of the quadrature rule of degree ``2*order``."""
 
     def __init__(self, step: Step, order: int, other: Operators | None = None) -> None:
         """``other`` are operators at another rule's points, see ``PointOperators``."""

@@ -1,9 +1,10 @@
 """Programs of the terms' integrals over the cells, recorded once and repeated in later iterates and steps.
 
-Fields are functions of the unknowns' coefficients.  Between the iterates of a step only these change.  The
-data of a step, which the contexts of ``evaluation`` provide, change from step to step (``datum``).  All other
-data of a term stay constant through a run (``ngvisco.forms.term``).  The first results of a second step are
-compared with the function's own: a function whose program has other bits is recorded in each step.
+Fields are functions of the unknowns' coefficients.  Between the iterates of a step only the coefficients
+change.  The data of a step, which the contexts of ``evaluation`` provide, change from step to step
+(``datum``).  All other data of a term stay constant through a run (``ngvisco.forms.term``).  In the second
+step the first results of each program are compared with the results of its function.  If a bit differs, the
+function is recorded anew in each step.
 """
 
 from __future__ import annotations

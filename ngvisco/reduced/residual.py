@@ -210,7 +210,8 @@ class ReducedResidual:
         return mass
 
     def _mean_of(self, term: PointTerm, name: str) -> tuple[str, sp.csr_matrix] | None:
-        """The unknown in cells whose mean the term determines, and the matrix of the mean's loads."""
+        """Name of the unknown whose mean on facets the term determines, and the matrix of this mean's
+        loads."""
         if (of := term.mean_of) is None:
             return None
         op = self.side_op

@@ -104,8 +104,8 @@ class PointwiseSlope:
     def _along(self, z_values: np.ndarray, directions: np.ndarray) -> Iterator[np.ndarray]:
         """Yield phi''(z) d, (n, points), for each column d of ``directions``, (n, k).
 
-        The points are repeated for several directions at once, because a law of many operations then takes
-        hardly longer.
+        The points are repeated for several directions at once, because a law of many operations takes
+        hardly longer for several directions than for one.
         """
         count, points = directions.shape[1], z_values.shape[1]
         if self.arrays is None or self.lagged.any():

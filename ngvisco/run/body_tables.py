@@ -202,7 +202,7 @@ class Bodies(Series):
             raise ParameterError(
                 "Bodies.measures",
                 needs[0],
-                "no stress or traction in 3D, since these measures are integrals along an outline",
+                "only stress and traction in 3D, since the other measures need an outline in the plane",
             )
         axes = "xyz"[:dim]
         units = {"mass": "kg", "volume": "m^d", **dict.fromkeys(axes, "m")}

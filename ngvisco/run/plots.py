@@ -137,7 +137,7 @@ def plot_history(ledger: Ledger, path: AnyPath) -> None:
 
 def _require_steps(field: str, ledger: Ledger) -> None:
     if len(ledger.rows) < 2:
-        raise ParameterError(field, f"{len(ledger.rows)} rows", "a ledger with at least one step")
+        raise ParameterError(field, "a ledger without steps", "a ledger with at least one step")
 
 
 def plot_comparison(

@@ -85,8 +85,8 @@ class Numbering:
             return
         part = step.mesh
         if not isinstance(part, MeshPart):
-            expected = "an undistributed mesh, which Simulation distributes itself"
-            raise ParameterError("Checkpoints", "a distributed mesh", expected)
+            expected = "an undistributed mesh, since Simulation distributes the mesh over the ranks"
+            raise ParameterError("Simulation.mesh", "a distributed mesh", expected)
         self.mesh = mesh = part.whole
         self.layout = None if mesh is None else step.layout.on(mesh)
         whole = None if self.layout is None else self.layout.space

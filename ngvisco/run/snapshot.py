@@ -172,7 +172,8 @@ def take_up(
         size, expected = snapshot.arrays["/state"].size, simulation.unknowns
         if size != expected:
             raise CheckpointError(
-                f"{path}: the state in this file has {size} coefficients, but that of the run {expected}"
+                f"{path}: the state in this file has {size} coefficients, but the state of the run has "
+                f"{expected}"
             )
         read.append(snapshot)
         number, columns = int(snapshot.numbers["/step"]), read_ledger(path)

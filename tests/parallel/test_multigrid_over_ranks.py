@@ -25,8 +25,8 @@ def test_a_matrix_that_multigrid_does_not_take_is_factorised():
     assert found()["left"] < 1e-4  # factors are in single precision
     (said,) = found()["said"]
     assert said == (
-        "coarse = 'gamg' is not used (gamg cannot factorise the matrix (the matrix is not positive "
-        "definite)); the matrix of the vertices is factorised"
+        "coarse = 'gamg' is not used (gamg cannot be used for the matrix (the matrix is not positive "
+        "definite)); a direct solver factorises the matrix of the vertices instead"
     )
 
 

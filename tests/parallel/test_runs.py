@@ -619,7 +619,7 @@ FAULTS = {
     "unsolved": "at step 0: step of length 0.0025 s from t = 0 s: the split solver did not converge",
     "petsc": r"at step 0: .* the split solver did not converge .*; mumps: PETSc .* \(DIVERGED_PC_FAILED\)",
     "petsc regularised": r"at step 0: .* did not converge .*; mumps: PETSc .* \(DIVERGED_PC_FAILED\)",
-    "density regularised": r"at step 0: .* mumps cannot factorise the matrix \(PETSc did not .*DIVERGED",
+    "density regularised": r"at step 0: .* mumps cannot be used for the matrix \(PETSc did not .*DIVERGED",
     "refused": "at step 1: no step of at least dt_min = 0.02 s from t = 0.02 s is accepted. The run tried",
 }
 

@@ -117,8 +117,8 @@ record(small_run(), 5, DT) | record.directory
 record(small_run(), "out", 0.0) | record.until
 record(small_run(), "out", nan) | record.until
 record(small_run(), "out", DT, show={"none in 2D": "velocity_3"}) | velocity_3
-plot_energies(small_run().ledger, "a.png") | ledger = '0 rows': expected a ledger with at least one step
-plot_history(small_run().ledger, "a.png") | ledger = '0 rows': expected a ledger with at least one step
+plot_energies(small_run().ledger, "a.png") | ledger = .*: expected a ledger with at least one step
+plot_history(small_run().ledger, "a.png") | ledger = .*: expected a ledger with at least one step
 plot_fields(PLANE, [("x", x)], "a.png", CrossSection("x")) | section = 'x': expected no section
 plot_fields(PLANE, [("T", NOT_POSITIVE)], "a.png") | 'T'.*a scalar
 small_run(loads=[Gravity(time)]) | ^loads\['gravity'\]\.g = <Parameter>: expected .* 2 components, not 1

@@ -59,7 +59,7 @@ class Located:
             self._at = locate(mesh, points, names)
             return
         if not isinstance(mesh, MeshPart):
-            expected = "a whole mesh, which Simulation then distributes itself"
+            expected = "a whole mesh, since Simulation distributes the mesh over the ranks"
             raise ParameterError(names[0], "a distributed mesh", expected)
         mpi = self.ranks.mpi
         asked, called, cells = mpi.gather(points), mpi.gather(list(names)), mpi.gather(mesh.cells)

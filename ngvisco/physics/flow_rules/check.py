@@ -107,7 +107,7 @@ def check_rule(rule: FlowRule, material: Material) -> None:
         with _naming(f"{name}.rate", rule):
             value: Any = rule.rate(M, 0.5 * M if rule.reads_conjugate else None, z).value
         if value.shape[:2] != (3, 3):
-            raise ParameterError(f"{name}.rate", value.shape[:-1], "a 3x3 tensor")
+            raise ParameterError(f"{name}.rate", f"an array of shape {value.shape[:-1]}", "a 3x3 tensor")
         Pi = np.broadcast_to(value, M.value.shape)
         size = np.sqrt((Pi * Pi).sum(axis=(0, 1)))
         power = (Pi * M.value).sum(axis=(0, 1))

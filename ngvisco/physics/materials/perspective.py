@@ -208,8 +208,8 @@ class ReferenceEnergy(Material):
         if domain := self.material.domain(values_at_rest):
             bounds = ", ".join(f"{name} > 0" for name in domain)
             expected = (
-                "a material whose energy has a value for every strain, but this energy has values only for "
-                f"{bounds}"
+                "a material whose energy has a value for every strain, but the energy of this material has a "
+                f"value only for {bounds}"
             )
             raise ParameterError(self.owner, self.material, expected)
 

@@ -212,8 +212,8 @@ class Preconditioner:
             except StepError as error:
                 solver.release()
                 how = (
-                    f"coarse = {self._coarse!r} is not used ({error}); the matrix of the vertices is "
-                    "factorised"
+                    f"coarse = {self._coarse!r} is not used ({error}); a direct solver factorises the matrix "
+                    "of the vertices instead"
                 )
                 self.ranks.warn(how, InputWarning)
         solver = direct_solver(free, self._of_tangent, symmetric)
