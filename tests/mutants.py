@@ -762,8 +762,8 @@ MUTANTS = [
         ),
         (
             "cost of a renewal",
-            "return self._beyond > self.cost",
-            "return self._beyond > 2 * self.cost",
+            "+ self._first) > self.cost",
+            "+ self._first) > 2 * self.cost",
             WEAR + "test_directions_grow_until_they_are_worth_a_renewal",
         ),
     ),

@@ -53,8 +53,8 @@ class SplitOptions:
     """Cost of a new operator and preconditioner, in GMRES iterations for the flow.
 
     Operator and preconditioner are renewed when the increments have taken more than this number of iterations
-    in excess of the iterations that new ones would have taken.  A renewal takes as long as 30 to 65
-    iterations.
+    in excess of the iterations that new ones would have taken, or will take them by the contractions so far.
+    A renewal takes as long as 30 to 65 iterations.
     """
     renewed_above: Positive = 0.05
     """Increment above which operator and preconditioner are renewed; after a smaller increment only the

@@ -208,7 +208,7 @@ def test_an_increment_is_solved_no_more_exactly_than_the_end_of_the_iteration_ne
         runs.append((run.advance(), newton.unknowns.pack(), *zip(*used, strict=True)))
     (row, state, loose, directions), (strict_row, _, strict, more), (_, solution, _, _) = runs
     assert row["newton_iterations"] == strict_row["newton_iterations"]
-    assert loose[:3] == strict[:3] and loose[:3] == (split_solver._FORCING[3],) * 3
+    assert loose[:3] == strict[:3] and loose[:3] == (split_solver._FORCING[True],) * 3
     assert strict[-1] < loose[-1] <= 0.03
     assert all(abs(few - many) <= 1 for few, many in zip(directions[:3], more[:3], strict=True))
     assert sum(directions) <= sum(more) - 3

@@ -16,7 +16,7 @@ def renewals(directions, new):
     wear, found, is_new = Wear(COST), [], True
     for number, (old, of_new) in enumerate(zip(directions, new, strict=True)):
         wear.count(of_new if is_new else old)
-        is_new = wear.is_dear
+        is_new = wear.is_dear(1.0)
         if is_new:
             found.append(number)
             wear.renew()
@@ -47,25 +47,50 @@ def test_at_most_twice_the_least_cost():
     for _ in range(increments):
         wear.count(10 + age)
         directions, age = directions + age, age + 1
-        if wear.is_dear:
+        if wear.is_dear(1.0):
             wear.renew()
             count, age = count + 1, 0
     least = min((increments // n) * (n * (n - 1) // 2 + COST) for n in range(1, 40))
     assert directions + COST * count <= 2 * least
 
 
+def test_a_slow_tangent_is_renewed_before_the_iteration_has_become_long():
+    """A new tangent contracts by 1e-3, and costs 30 directions; an increment costs 8, with its residual."""
+    wear = Wear(COST)
+    wear.count(2)
+    wear.rate(1e-3, is_new=True)
+    assert not wear.is_dear(1e8)  # the tangent is the new one
+    wear.rate(0.1, is_new=False)
+    assert wear.is_dear(1e6)  # 6 increments in place of 2
+    assert not wear.is_dear(1e5)  # 5 in place of 1.7
+    wear.rate(1.5, is_new=False)
+    assert not wear.is_dear(1e6)  # such increments are judged elsewhere
+    wear.renew()
+    wear.rate(0.05, is_new=True)
+    wear.rate(0.1, is_new=False)
+    assert not wear.is_dear(1e6)  # 6 in place of 4.6
+    wear.rate(0.0, is_new=True)  # the first increment of the next step
+    assert not wear.is_dear(1e6)
+
+
 def test_counts_are_restored():
     wear, again = Wear(COST), Wear(COST)
+    wear.rate(1e-3, is_new=True)
     for directions in (10, 25, 20):
         wear.count(directions)
     again.load_state_dict(wear.state_dict())
-    assert not again.is_dear
+    assert not again.is_dear(1.0)
     for one in (wear, again):
         one.count(16)
-        assert one.is_dear
+        assert one.is_dear(1.0)
+    for one in (wear, again):
+        one.renew()
+        one.count(2)
+        one.rate(0.1, is_new=False)
+        assert one.is_dear(1e6)
     again.load_state_dict({})  # a checkpoint of an older version
     again.count(40)
-    assert not again.is_dear
+    assert not again.is_dear(1.0)
 
 
 def test_a_resumed_run_renews_where_the_whole_one_does(tmp_path):

@@ -6,9 +6,9 @@ of cells and sides (``ReducedResidual``). An increment is computed by sweeps of 
 linear system for the flow, which contains the fields' response to the flow (``FlowSchurComplement``) and is
 solved by GMRES (``Preconditioner``). Three things distinguish this iteration from Newton's method: a coarser
 quadrature rule; a fixed number of sweeps; and an operator that is kept for several increments. The operator
-is renewed after a long increment, if increments shrink too little, or if their linear systems have taken as
-many further directions as a renewal costs (``Wear``). Between renewals only the hyperviscosity is linearised
-again, because it changes suddenly.
+is renewed after a long increment, if increments shrink too little, or if further directions of the linear
+systems, or further increments until the end, cost as much as a renewal (``Wear``). Between renewals only the
+hyperviscosity is linearised again, because it changes suddenly.
 
 ``iterate`` replaces x by x - f(x), f = P^{-1} R, until f is small. If the increment f is not finite, or much
 longer than the smallest increment so far, an iterate nearer to the best iterate replaces x. ``damped`` forms
@@ -38,9 +38,9 @@ from ngvisco.solver.split.preconditioner import Preconditioner
 from ngvisco.solver.split.wear import Wear
 from ngvisco.threads import Workers, on_arrays
 
-_FORCING = {2: 0.03, 3: 0.003}
-"""Tolerances of the flow's linear systems by dimension; in 3D residuals are expensive, and with more exact
-increments fewer residuals are evaluated."""
+_FORCING = 0.03, 0.003
+"""Tolerances of the flow's linear systems where residuals are cheap, and where they are expensive: in 3D, and
+with several bodies.  With more exact increments fewer residuals are evaluated."""
 _LEFT, _LOOSEST = 0.3, 0.03
 """Error of the flow's linear system, as a share of the error with which the iteration may end; and the
 largest tolerance of the linear system."""
@@ -145,7 +145,7 @@ class Split:
         size of this increment.
         """
         problem.poll()
-        options, fresh = self.options.split, not self.is_factorised
+        options, fresh, was_fresh = self.options.split, not self.is_factorised, self.is_fresh
         self.is_fresh = fresh
         if not self.is_finite(at):
             return np.zeros_like(x), np.inf
@@ -160,6 +160,8 @@ class Split:
                 f = self.solved(at, expected)
         self.wear.count(self.preconditioner.iterations)
         size = self.size(f)
+        if not self.is_steep:
+            self.wear.rate(size / last, was_fresh)
         self._stale = size > options.stale_above * last
         return f, size
 
@@ -217,7 +219,8 @@ class Split:
         tangent."""
         options = self.options.split
         slow = self._stale and not self.is_steep  # steep rules renew the operator alone
-        worn = (slow or self.wear.is_dear) and size > 1e3 * options.margin * self.options.tolerance
+        end = options.margin * self.options.tolerance
+        worn = (slow or self.wear.is_dear(size / end)) and size > 1e3 * end
         before, self._turned = self._turned, self.sizes(f)[1] if self.norm.shared else 0.0
         bends = self._turned > max(options.bends_above, 0.3 * before)  # a fixed tangent would not contract
         far = options.renewed_above * (10 if self.is_steep else 1)
@@ -231,7 +234,8 @@ class Split:
         error, tolerance = _LEFT * self.options.split.margin * self.options.tolerance, _LOOSEST
         if expected > 0:
             tolerance = min(tolerance, error / expected)
-        self._left = max(tolerance, _FORCING[self.step.mesh.dim])
+        is_dear = self.step.mesh.dim == 3 or len(self.step.model.bodies) > 1
+        self._left = max(tolerance, _FORCING[is_dear])
         return self.preconditioner(at, self._left)
 
     def renew(self, problem: Problem, at: Evaluation) -> None:
