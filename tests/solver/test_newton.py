@@ -107,7 +107,7 @@ def test_too_many_iterations_says_so() -> None:
     solver, _ = newton(1.9, arc, max_iterations=2)
     solution = solve(solver)
     assert solution.status is Status.TOO_MANY_ITERATIONS
-    assert "too many iterations; 2 iterations" in solution.reason
+    assert "too many iterations; after 2 iterations" in solution.reason
     assert len(solution.history) == 2
 
 

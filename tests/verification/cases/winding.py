@@ -89,7 +89,7 @@ def _side_by_side() -> Measured:
                 except nv.StepError as error:
                     yield f"By {state} with cells of {maxh:g} m the run ends at {run.t:.2f} s: {error}"
                     has_ended = True
-                    if state == "F" and "have parted" in str(error):
+                    if state == "F" and " differ by " in str(error):
                         ends.append(run.t)
                 fields, last = run.fields, run.ledger.rows[-1]
                 A = fields["B"] if state == "B" else fields["J"] ** (-2 / 3) * fields["F"] * fields["F"].trans
