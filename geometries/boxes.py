@@ -283,7 +283,9 @@ def structured_box(
     number = (4 if crossed else 2 if dim == 2 else 6) * math.prod(n or 1 for n in counts)
     if number > MAX_CELLS:
         kind = "triangles" if dim == 2 else "tetrahedra"
-        raise ParameterError("structured_box.cells", cells, f"at most {MAX_CELLS} {kind}, not {number}")
+        raise ParameterError(
+            "structured_box.cells", cells, f"numbers that make at most {MAX_CELLS} {kind}, not {number}"
+        )
     axes = "xyz"[:dim]
     require_type("structured_box.split_corners", split_corners, bool)
     directions = _directions("structured_box.periodic", periodic, dim)

@@ -29,7 +29,7 @@ def plot(options: argparse.Namespace) -> int:
     if options.movie is not None:
         if options.step is not None:
             raise ParameterError(
-                "--step", options.step, "no such option together with --movie, which draws all states"
+                "--step", options.step, "no such option together with --movie, since --movie draws all states"
             )
         place = RunDirectory(run)
         path, title = Path(options.movie or out / "movie.gif"), place.case().sections.title
@@ -71,7 +71,9 @@ def _compare(options: argparse.Namespace, runs: dict[str, Path]) -> int:
     for name in ("movie", "fps", "section", "step"):
         if (value := getattr(options, name)) is not None:
             raise ParameterError(
-                f"--{name}", value, "no such option for several runs, since these are compared over time"
+                f"--{name}",
+                value,
+                "no such option for several runs, since several runs are compared over time",
             )
     study = len(options.directory) == 1
     out = Path(options.output or (options.directory[0] if study else "."))

@@ -181,9 +181,9 @@ def _check(mesh: Mesh | None, parts: int) -> None:
         raise MeshError(CURVED)
     if mesh.dim == 3 and (images := _images_of_facets(mesh)) > 1:
         raise MeshError(
-            f"the corners of a facet are identified with those of {images} other facets, because the mesh "
-            "is one cell wide along a periodic direction; Netgen does not distribute such a mesh; expected "
-            "two or more cells along each periodic direction, or one process"
+            f"the corners of a facet are identified with the corners of {images} other facets, because the "
+            "mesh is one cell wide along a periodic direction. Netgen does not distribute such a mesh; "
+            "expected two or more cells along each periodic direction, or one process"
         )
     if mesh.ne < parts:
         raise MeshError(f"the mesh has {mesh.ne} cells for {parts} ranks with cells; expected fewer ranks")

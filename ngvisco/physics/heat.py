@@ -98,7 +98,8 @@ class Heat:
             values = np.array([conductivity(np.float64(theta)) for theta in _TEMPERATURES])
             if not (np.isfinite(values).all() and (values >= 0).all()):
                 worst = float(np.nanmin(values)) if np.isfinite(values).any() else values[0]
-                raise ParameterError(owner, worst, "a function of the temperature with finite values >= 0")
+                given = f"a function with the value {worst:.4g}"
+                raise ParameterError(owner, given, "a function of the temperature with finite values >= 0")
         else:
             object.__setattr__(self, "conductivity", _matrix(owner, conductivity))
 

@@ -268,7 +268,7 @@ class Model:
             raise ParameterError("Model.material", material, expected)
         if self.heat is not None and self.heat.numerical_heating and material.response(3) is not None:
             expected = (
-                " for an energy without an expression, as that of a Yosida approximation, or of bodies "
+                " for an energy without an expression: the energy of a Yosida approximation, or of bodies "
                 "whose pressures are different functions of volume and temperature"
             )
             raise ParameterError("Heat.numerical_heating", True, False, expected)

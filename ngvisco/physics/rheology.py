@@ -266,7 +266,8 @@ class LinearViscosity(Viscosity):
             entries = zip(modes[:, 0] / _WEIGHTS, PAIRS, strict=True)
             shown = ", ".join(f"e_{i + 1}{j + 1} = {e:.3g}" for e, (i, j) in entries)
             expected = (
-                f"e : D e >= 0 for every strain rate e, but the value is {eigenvalues[0]:.3g} for {shown}"
+                f"a D with e : D e >= 0 for every strain rate e, but the value is {eigenvalues[0]:.3g} for "
+                f"{shown}"
             )
             raise ParameterError("LinearViscosity.D", self.D, expected)
         object.__setattr__(self, "D", _as_tuples(np.asarray(self.D, dtype=float)))

@@ -114,11 +114,13 @@ class Inlets:
         for name, given in self._given.items():
             loss, meeting = row[f"dissipation_inflow_{name}"], ""
             if loss > _MATTERS * worked:
-                meeting = f"where the two meet, {loss:.3g} W are lost, {loss / worked:.0%} of all powers"
+                meeting = (
+                    f"where inflow and body meet, {loss:.3g} W are lost, {loss / worked:.0%} of all powers"
+                )
             elif name in self._compared and self._entered[name] > _FILLED * row["mass"]:
                 difference, size = self._difference(name)
                 if difference > max(_DIFFERS * size, self._rounding):
-                    meeting = f"the two deviators differ by {difference:.3g} Pa, of {size:.3g} Pa at the wall"
+                    meeting = f"the deviators differ by {difference:.3g} Pa, of {size:.3g} Pa at the wall"
             if meeting:
                 return (
                     f"at t = {row['time']:.4g} s the inflow through {name!r} with the given "

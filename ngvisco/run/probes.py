@@ -106,7 +106,7 @@ class LineSamples(Series):
         b = _one_point("LineSamples.end", self.ends[1], mesh.dim)
         length = float(np.linalg.norm(b - a))
         if length == 0:
-            raise ParameterError("LineSamples.end", b.tolist(), "another point than start")
+            raise ParameterError("LineSamples.end", b.tolist(), "a point that differs from start")
         share = np.linspace(0, 1, self.points)[:, None]
         where = (1 - share) * a + share * b
         names = ["LineSamples.start", *["LineSamples.end"] * (self.points - 1)]

@@ -144,7 +144,7 @@ def run_refined(
     require_type("run_refined.refinement", refinement, Refinement)
     # the run has begun, or was carried over from another mesh
     if simulation.number or simulation.ledger.balance is not None:
-        expected = "a simulation before its first step, which was not carried over from another mesh"
+        expected = "a simulation that has made no step, and was not carried over from another mesh"
         raise ParameterError("run_refined.simulation", f"a simulation at step {simulation.number}", expected)
     refinement.check(simulation)
     first, chosen = simulation.mesh, None

@@ -164,7 +164,7 @@ def time_steps(time: TimeSteps | None, keywords: Mapping[str, Any]) -> TimeSteps
     require_type("Simulation.time", time, TimeSteps)
     if keywords:
         raise ParameterError(
-            "Simulation.time", time, None, f", since its parameters are also given ({', '.join(keywords)})"
+            "Simulation.time", time, None, f", since parameters ({', '.join(keywords)}) are also given"
         )
     return time
 

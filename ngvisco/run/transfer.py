@@ -147,7 +147,7 @@ def require_fit(source: Simulation, target: Simulation) -> None:
     if [(v.name, repr(v)) for v in had] != [(v.name, repr(v)) for v in has]:
         names = [", ".join(v.name for v in side) for side in (had, has)]
         expected = (
-            f"the variables of the source, {names[0]}; take the material of the source with its elastic_state"
+            f"the variables of the source, {names[0]}; take the material and the elastic_state of the source"
         )
         raise ParameterError("transfer.target", f"the variables {names[1]}", expected)
     unknowns = source.rothe_step.layout.unknowns

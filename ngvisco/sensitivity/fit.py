@@ -437,7 +437,7 @@ def _bounds(parameter: Named, given: tuple[float, float] | None) -> tuple[float,
     value = parameter.value
     if given is None:
         if value == 0:
-            raise ParameterError("fit.bounds", None, f"bounds of {parameter.name}, which starts at 0")
+            raise ParameterError("fit.bounds", None, f"bounds of {parameter.name}, since the start is 0")
         low, high = sorted((value / _RANGE, value * _RANGE))
         return low, high
     try:

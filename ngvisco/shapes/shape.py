@@ -101,7 +101,9 @@ class Where(Shape):
     def level(self, at: Places) -> np.ndarray:
         values = at.values(self.function).reshape(-1)
         if not np.isfinite(values).all():
-            raise ParameterError("Where.function", "a function that is not finite somewhere", "finite values")
+            raise ParameterError(
+                "Where.function", "a function that is not finite somewhere", "a function with finite values"
+            )
         is_indicator = bool(np.isin(values, (0.0, 1.0)).all())
         return values - 0.5 if is_indicator else values
 
@@ -261,8 +263,11 @@ def _expected_of_edges(a: np.ndarray, b: np.ndarray) -> str | None:
     common = np.minimum(on.max(axis=0), length) - np.maximum(on.min(axis=0), 0)
     is_collinear = (abs(off) <= rounding * length).all(axis=0) & ~np.eye(len(a), dtype=bool)
     for defect, expected in (
-        (has_both_sides & has_both_sides.T, "edges that do not cross, but edges {} and {} cross"),
-        (is_collinear & (common > rounding), "edges that do not overlap, but edges {} and {} overlap"),
+        (has_both_sides & has_both_sides.T, "points whose edges do not cross, but edges {} and {} cross"),
+        (
+            is_collinear & (common > rounding),
+            "points whose edges do not overlap, but edges {} and {} overlap",
+        ),
     ):
         if defect.any():
             return expected.format(*(np.argwhere(defect)[0] + 1))

@@ -143,8 +143,8 @@ class NewtonOptions:
             raise ParameterError("NewtonOptions.tolerance", self.tolerance, expected)
         # sparsecholesky silently returns nonsense for nonsymmetric matrices
         if not is_available(self.inverse):
-            have = ", ".join(filter(is_available, get_args(Inverse)))
-            expected = f"one of {have}, since this installation of NGSolve has no other inverse"
+            have = " or ".join(filter(is_available, get_args(Inverse)))
+            expected = f"{have}, since this installation of NGSolve has no other inverse"
             raise ParameterError("NewtonOptions.inverse", self.inverse, expected)
         is_split, where = self.method == "split", "with the method 'split'"
         require_effect(self, not is_split, where, "refresh", "min_damping", "inverse")

@@ -126,7 +126,7 @@ def test_a_new_run_starts_from_an_earlier_one(run, tmp_path):
         ([], "nowhere", "this directory does not exist"),
         (["domain.size=[2, 1]", "time.until=0.06"], "run", "volume"),
         (["material.kind='LinearElastic'"], "run", "epsilon"),
-        (["material.elastic_state='B'", "time.until=0.06"], "run", "with its elastic_state"),
+        (["material.elastic_state='B'", "time.until=0.06"], "run", "take the material and the elastic_state"),
         (["time.until=0.02"], "run", "time.until.*after t = 0.04 s, which the run has already reached"),
         ([], "run", "time.until.*after t = 0.04 s, which the run has already reached"),
         (["time.dt=0.03", "time.until=0.06"], "run", "a multiple of dt = 0.03 after t = 0.04"),

@@ -64,7 +64,7 @@ def test_what_is_measured_does_not_change_the_case(tmp_path):
         ("output.probes.0.name='a/b'", "output.probes.0.name .*'a/b': expected at most 60 letters"),
         ("output.integrals.0.name='tip'", "output.integrals.0.name .*a name that no other table has"),
         ("output.lines.0.name='forces'", "output.lines.0.name .*both tables would write forces.csv"),
-        ("output.lines.0.end=[0, 0.5]", "output.lines.0.end .*another point than start"),
+        ("output.lines.0.end=[0, 0.5]", "output.lines.0.end .*a point that differs from start"),
         ("output.lines.0.end=[3, 0.5]", "output.lines.0.end .*a point of the domain"),
         ("output.lines.0.points=1", "output.lines.0.points .*1: "),
         ("output.forces.walls=['botom']", "output.forces.walls .*did you mean 'bottom'"),

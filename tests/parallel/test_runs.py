@@ -435,7 +435,7 @@ def test_meshes_that_cannot_be_distributed_are_refused_on_every_rank(tmp_path):
     assert result.returncode == 0, result.stderr
     narrow, wide, in_space, empty = result.stdout.splitlines()
     for said in (narrow, in_space):
-        assert said.count("one cell wide along a periodic direction; Netgen does not distribute") == 3
+        assert said.count("one cell wide along a periodic direction. Netgen does not distribute") == 3
     assert wide.count("cells") == 3
     assert empty.count("one of 2 ranks gets none of the") == 3
 

@@ -312,8 +312,8 @@ def test_ogden_is_mooney_rivlin_where_its_exponents_are_two(rng):
         ("alpha", 'with elastic_state = "F"', {"mu": (1.0,), "alpha": (1.3,), "elastic_state": "B"}),
         ("alpha", "distinct exponents", {"mu": (1.0, 1.0), "alpha": (2.0, 2.0)}),
         ("mu", "at least one number", {"mu": (), "alpha": (2.0,)}),
-        ("mu", "2 moduli", {"mu": (1.0, 1.0, 1.0), "alpha": (2.0, 4.0)}),
-        ("alpha", "1 exponents", {"mu": (1.0,), "alpha": (2.0, 4.0)}),
+        ("mu", "as many moduli as exponents, 2", {"mu": (1.0, 1.0, 1.0), "alpha": (2.0, 4.0)}),
+        ("alpha", "as many exponents as moduli, 1", {"mu": (1.0,), "alpha": (2.0, 4.0)}),
         ("mu", "the sign of its exponent", {"mu": (1.0,), "alpha": (-2.0,)}),
     ],
 )

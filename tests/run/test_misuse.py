@@ -93,7 +93,7 @@ observed(Probes(3)) | points, or a mapping
 observed(Probes([])) | at least one
 observed(Probes([(0, 0)], ["velocty"])) | did you mean 'velocity'
 observed(Probes([(0, 0)], every=0)) | Probes.every
-observed(LineSamples((0, 0), (0, 0))) | another point than start
+observed(LineSamples((0, 0), (0, 0))) | a point that differs from start
 observed(LineSamples((0, 0), (0, 3))) | LineSamples.end
 observed(LineSamples((0, 0), (1, 0), 1)) | a whole number from 2 to 100000
 observed(WallForces(["lef"])) | did you mean 'left'
@@ -180,9 +180,9 @@ small_run(discretisation=Discretisation(m=0)) | Discretisation\.m = 0: expected 
 # steps
 Simulation(PLANE, MODEL) | TimeSteps\.dt = None
 Simulation(PLANE, MODEL, time=0.1) | Simulation\.time = 0\.1: expected a ngvisco.TimeSteps
-Simulation(PLANE, MODEL, time=STEPS, dt=0.1) | Simulation\.time = .*None, since its parameters
-Simulation(PLANE, MODEL, time=STEPS, scheme="midpoint") | Simulation\.time = .*None, since its parameters
-Simulation(PLANE, MODEL, time=STEPS, halvings=1) | Simulation\.time = .*None, since its parameters
+Simulation(PLANE, MODEL, time=STEPS, dt=0.1) | Simulation\.time = .*None, since parameters
+Simulation(PLANE, MODEL, time=STEPS, scheme="midpoint") | Simulation\.time = .*None, since parameters
+Simulation(PLANE, MODEL, time=STEPS, halvings=1) | Simulation\.time = .*None, since parameters
 small_run(adaptive=AdaptiveSteps(dt_min=0.03, dt_max=0.1)) | TimeSteps\.dt = 0\.02
 small_run(scheme="sdirk2", relaxation=True, adaptive=ADAPTIVE) | scheme .midpoint.
 small_run(scheme="theta", theta=0.5001, adaptive=AdaptiveSteps(dt_min=1e-4, dt_max=0.02, tolerance=1e-3))

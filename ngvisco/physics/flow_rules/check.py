@@ -86,7 +86,7 @@ def check_viscosity(law: Viscosity, material: Material) -> None:
             "eps",
         )
         falls = risen - power < -_ROUNDING * large
-        expected = "a stress that rises with eps, as that of a convex potential"
+        expected = "a power that rises with eps, as a convex potential requires"
         _refuse(f"{name}.stress", falls, tested, risen - power, sizes, expected, "eps")
 
 

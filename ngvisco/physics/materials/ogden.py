@@ -141,9 +141,9 @@ class Ogden(Material):
         if len(self.mu) != len(self.alpha):
             if len(self.alpha) > len(self.mu):
                 raise ParameterError(
-                    "Ogden.alpha", self.alpha, f"{len(self.mu)} exponents, one for each modulus"
+                    "Ogden.alpha", self.alpha, f"as many exponents as moduli, {len(self.mu)}"
                 )
-            raise ParameterError("Ogden.mu", self.mu, f"{len(self.alpha)} moduli, one for each exponent")
+            raise ParameterError("Ogden.mu", self.mu, f"as many moduli as exponents, {len(self.alpha)}")
         least = 2.0 if self.elastic_state == "B" else 1.0
         if not all(least <= abs(alpha) <= 12 for alpha in self.alpha):
             form = ' in B; with elastic_state = "F" 1 <= |alpha| suffices' if least == 2 else ""

@@ -141,7 +141,7 @@ class Thermal(Material):
         if self.expansion is not None and self.gruneisen is not None:
             raise ParameterError("Thermal.gruneisen", self.gruneisen, None, ", since expansion is given")
         if material is None and not self.gruneisen:
-            expected = "a number > 0, which gives the pressure of a gas, or a material"
+            expected = "a number > 0, which gives the pressure of a gas; otherwise give a material"
             raise ParameterError("Thermal.gruneisen", self.gruneisen, expected)
         if material is not None and entropy_in(material) is not None:
             raise ParameterError("Thermal.material", material, "a material without heat")
