@@ -142,7 +142,7 @@ def test_bounds_of_a_body_are_refused_by_name():
         bounds={"room": lambda B, J: 9 - tr(B)},
     )
     body = nv.Body(name="foam", where=nv.Ball((0.5, 0.5), 0.2), material=foam, density=1)
-    with pytest.raises(nv.ParameterError, match="has values only for room > 0"):
+    with pytest.raises(nv.ParameterError, match="has a value only for room > 0"):
         nv.Model(bodies=[body, nv.Body(name="rest", material=foam, density=1)])
 
 

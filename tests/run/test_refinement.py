@@ -89,11 +89,11 @@ def test_a_run_under_way_is_refused():
     refinement = nv.Refinement(field="J", every=0.04)
     begun = bodies()
     begun.run(0.02)
-    with pytest.raises(nv.ParameterError, match="before its first step"):
+    with pytest.raises(nv.ParameterError, match="that has made no step"):
         nv.run_refined(begun, refinement, 0.08)
     carried = bodies()
     nv.transfer(bodies(), carried)
-    with pytest.raises(nv.ParameterError, match="before its first step"):
+    with pytest.raises(nv.ParameterError, match="that has made no step"):
         nv.run_refined(carried, refinement, 0.08)
 
 

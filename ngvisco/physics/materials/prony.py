@@ -87,7 +87,7 @@ def prony_network(
     shifts = {"E": E, "C_1": C_1, "C_2": C_2}
     if (C_1 is None) != (C_2 is None) or (E is not None and C_1 is not None):
         raise ParameterError(
-            "prony_network.C_1", shifts, "E alone, C_1 and C_2 together, or none of the three"
+            "prony_network.C_1", shifts, "E alone, or C_1 and C_2 together, or none of the three"
         )
     left = 1 - float(rows[:, 0].sum()) if of == "G_0" else 1.0
     if left < -1e-12:
