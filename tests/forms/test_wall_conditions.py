@@ -154,7 +154,8 @@ def test_normal_part_of_a_traction_is_powerless():
 def test_a_start_velocity_through_walls_is_projected_and_that_is_said_once():
     initial = nv.Initial(velocity=(x, 0.0))
     with pytest.warns(
-        nv.InputWarning, match=r"initial velocity: .* normal to the impenetrable walls right \(100%\)"
+        nv.InputWarning,
+        match=r"impenetrable walls right \(100% of the velocity there, 2 times the mean inside\)",
     ) as said:
         run = nv.Simulation(box((1, 1), 0.5), model(), dt=0.01, initial=initial)
     assert len(said) == 1

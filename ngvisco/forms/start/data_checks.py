@@ -244,7 +244,7 @@ def _normal_parts(step: Step, velocity: VectorLike | None) -> Iterator[str]:
     for name, wall in conditions.items():
         share = 0.0
         if isinstance(wall, Traction):
-            share = _normal_share(step, name, as_vector(wall.f, dim, "Traction.f"))
+            share, _ = _normal_share(step, name, as_vector(wall.f, dim, "Traction.f"))
         if share > 0:
             yield Words(
                 Mention(f"walls[{name!r}].f"),
@@ -258,18 +258,23 @@ def _normal_parts(step: Step, velocity: VectorLike | None) -> Iterator[str]:
     on_wall = BoundaryFromVolumeCF(v_0)
     closed = [name for name in conditions if name not in step.walls.crossed]
     shares = {name: _normal_share(step, name, v_0, on_wall) for name in closed}
-    listed = ", ".join(f"{name} ({share:.0%})" for name, share in shares.items() if share > 0)
+    listed = [
+        f"{name} ({share:.0%} of the velocity there, {of_inside:.1g} times the mean inside)"
+        for name, (share, of_inside) in shares.items()
+        if share > 0
+    ]
     if listed:
         yield (
-            f"initial velocity: parts of the velocity (in L2) are normal to the impenetrable walls {listed}; "
-            "the run starts with the projection of the velocity to v.n = 0"
+            "initial velocity: parts of the velocity (in L2) are normal to the impenetrable walls "
+            f"{', '.join(listed)}; the run starts with the projection of the velocity to v.n = 0"
         )
 
 
 def _normal_share(
     step: Step, name: str, a: CoefficientFunction, on_wall: CoefficientFunction | None = None
-) -> float:
-    """Ratio of |a.n| to |a| in L2 on a wall; 0 within the error of the geometry's approximation."""
+) -> tuple[float, float]:
+    """Ratios of |a.n| on a wall to |a| on the wall and in the domain, in root mean squares; 0 within the
+    error of the geometry's approximation."""
     b = a if on_wall is None else on_wall
     n = specialcf.normal(step.mesh.dim)
     squares = CF((CF(1.0), b * b, (b * n) * (b * n)))
@@ -278,8 +283,9 @@ def _normal_share(
     is_flat = any(name in names for names in step.walls.axis)
     is_rounding = normal_part * volume <= _ROUNDING * inside * area
     if is_rounding or normal_part <= (_FLAT if is_flat else OPEN) * size:
-        return 0.0
-    return float(np.sqrt(normal_part / size))
+        return 0.0, 0.0
+    of_inside = normal_part * volume / (inside * area) if inside > 0 else np.inf
+    return float(np.sqrt(normal_part / size)), float(np.sqrt(of_inside))
 
 
 def _heat_at_walls(step: Step) -> Iterator[str]:
