@@ -104,7 +104,7 @@ from ngvisco.physics.walls import (
     Traction,
 )
 from ngvisco.run.adaptive import AdaptiveSteps, DamageWarning
-from ngvisco.run.body_tables import Bodies, SelfContactWarning, SmearedWarning
+from ngvisco.run.body_tables import Bodies, SmearedWarning
 from ngvisco.run.checkpoint import Checkpoints
 from ngvisco.run.contours import Contours
 from ngvisco.run.inlets import InflowWarning
@@ -116,6 +116,7 @@ from ngvisco.run.plots import plot_energies, plot_schemes
 from ngvisco.run.probes import Integrals, LineSamples, Probes, WallForces
 from ngvisco.run.record import record
 from ngvisco.run.refinement import Refinement, run_refined
+from ngvisco.run.self_contact import SelfContactWarning
 from ngvisco.run.signs import CreepPowerWarning, DissipationWarning, EntropyWarning
 from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.run.snapshot import read_ledger

@@ -18,7 +18,7 @@ from ngvisco.physics.tensors import inner, sym
 from ngvisco.run.files import AnyPath
 from ngvisco.run.fraction_samples import HALF, FractionSamples
 from ngvisco.run.frames import Lattice
-from ngvisco.run.outlines import Moments, distance, facing
+from ngvisco.run.outlines import Moments, distance
 from ngvisco.run.series import Every, Series
 from ngvisco.words import Mention
 
@@ -33,10 +33,6 @@ _WIDE = 3.0
 
 class SmearedWarning(NgviscoWarning):
     """The interface of a body is several cells wide: the body dissolves in the matter around it."""
-
-
-class SelfContactWarning(NgviscoWarning):
-    """Two parts of a body's outline are less than a cell apart: they bear each other before they touch."""
 
 
 class Tractions:
@@ -165,9 +161,7 @@ class Bodies(Series):
     is within the domain.  Along a period in which a body meets its own image, the centroid is that of the
     body's part in the domain.  An extent is that of the parts in the domain.
     A ``SmearedWarning`` is issued, once, for a body with a place whose interface is more than three cells
-    wide, and in two dimensions a ``SelfContactWarning`` if parts of its outline face each other within
-    1.5 cells; in three dimensions it is not issued.  A run's HDF5 file (``Checkpoints``) holds the columns
-    in the group ``bodies``.
+    wide.  A run's HDF5 file (``Checkpoints``) holds the columns in the group ``bodies``.
     A run raises ParameterError for a model without bodies, for a measure that needs an outline in three
     dimensions, and for ``gap`` of fewer than two bodies that have a place.
 
@@ -212,7 +206,7 @@ class Bodies(Series):
         units |= {"smeared": "1"}
         self.names = names = [body.name for body in bodies]
         self._placed = [body.name for body in bodies if body.where is not None]
-        self.fractions = FractionSamples(simulation, names)
+        self.fractions = FractionSamples(simulation.rothe_step, simulation.ranks, names)
         has_stress = bool({"stress", "traction"} & {*self.measures})
         self.tractions = Tractions(simulation, self.fractions) if has_stress else None
         for measure in self.measures:
@@ -315,7 +309,7 @@ class Bodies(Series):
         return np.array(rows)
 
     def _look(self, simulation: Simulation, smeared: np.ndarray) -> None:
-        """Warn, once for each body, of a wide interface, and of an outline that meets itself."""
+        """Warn, once for each body, of a wide interface."""
         for name, width in zip(self.names, smeared, strict=True):
             if name not in self._placed:
                 continue
@@ -325,14 +319,6 @@ class Bodies(Series):
                     "smaller cells, discretisation.m = 2, or an earlier end of the run"
                 )
                 self._warn(simulation, name, message, SmearedWarning)
-            ends = np.zeros((0, 2, 5)) if self.fractions.dim != 2 else self.fractions.cut(name).ends
-            if (cells := facing(ends, self.fractions.periods.images)) < np.inf:
-                message = (
-                    f"parts of the outline of the body {name!r} face each other at a distance of "
-                    f"{cells:.2g} cells. Such parts push each other before they touch, and may stick; take "
-                    "smaller cells there"
-                )
-                self._warn(simulation, name, message, SelfContactWarning)
 
     def _warn(self, simulation: Simulation, name: str, message: str, kind: type[NgviscoWarning]) -> None:
         """Warn of a body; each kind of warning is given once for each body."""

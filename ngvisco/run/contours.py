@@ -61,7 +61,7 @@ class Contours(Series):
                 raise UnknownNameError("body", name, numbers, "Contours.bodies")
         chosen = self.bodies or [body.name for body in bodies if body.where is not None]
         self._numbers = {name: numbers[name] for name in chosen}
-        self._fractions = FractionSamples(simulation, chosen)
+        self._fractions = FractionSamples(simulation.rothe_step, simulation.ranks, chosen)
         return ["body", "line", "x", "y"]
 
     def start(self, simulation: Simulation) -> None:

@@ -10,11 +10,12 @@ from ngsolve import CF, L2, CoefficientFunction, GridFunction, VectorValued, x, 
 
 from ngvisco.physics.mixture import Mixture
 from ngvisco.run.frames import Lattice, places
-from ngvisco.run.outlines import Cut
+from ngvisco.run.outlines import Cut, facing, level_surface
 from ngvisco.run.periods import Periods, merged
 
 if TYPE_CHECKING:
-    from ngvisco.run.simulation import Simulation
+    from ngvisco.forms.system import Step
+    from ngvisco.parallel.communicator import Communicator
 
 HALF = 0.5
 """Volume fraction above which a point belongs to a body."""
@@ -33,18 +34,19 @@ class FractionSamples:
 
     Parameters
     ----------
-    simulation : Simulation
+    step : Step
+    ranks : Communicator
     names : sequence of str
         Names of bodies.
     """
 
-    def __init__(self, simulation: Simulation, names: Sequence[str]) -> None:
-        step, material = simulation.rothe_step, simulation.model.material
+    def __init__(self, step: Step, ranks: Communicator, names: Sequence[str]) -> None:
+        material = step.model.material
         assert isinstance(material, Mixture)
         theta, mesh = material.fractions.at(step.now.z_tensors), step.mesh
-        self.names, self.dim, self._ranks = list(names), mesh.dim, simulation.ranks
+        self.names, self.dim, self._ranks = list(names), mesh.dim, ranks
         self._mesh = mesh
-        self.lattice, self.periods = Lattice(mesh, PIECES), Periods.of(mesh, simulation.ranks)
+        self.lattice, self.periods = Lattice(mesh, PIECES), Periods.of(mesh, ranks)
         place, v = (x, y, z)[: mesh.dim], step.now.v
         values = (*place, *(v[i] for i in range(mesh.dim)), step.context.h, *(theta[n] for n in names))
         self._values = CF(values).Compile()
@@ -137,6 +139,15 @@ class FractionSamples:
         theta = self._averaged[name]
         traced = Cut.of(np.concatenate([moving, shares, number], axis=2), self._points, theta, HALF)
         return traced, moving[:, :, :2], theta
+
+    def facing(self, name: str) -> float | None:
+        """Least distance, in cells, between parts of a body's surface that face each other; None if none do
+        within 1.5 cells."""
+        theta = self._averaged[name]
+        above = theta >= HALF
+        is_cut = above.any(axis=1) & ~above.all(axis=1)
+        points, outwards = level_surface(self._corners[is_cut][:, :, : self.dim], theta[is_cut], HALF)
+        return facing(points, outwards, self._sizes[is_cut], self.periods.images)
 
     def smeared(self, name: str) -> float:
         """The width of a body's interface in cells; NaN without an interface.

@@ -7,6 +7,7 @@ between the corners.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -215,30 +216,43 @@ def distance(one: np.ndarray, other: np.ndarray, images: np.ndarray) -> float:
     return np.inf if gap is None else gap.width
 
 
-def facing(ends: np.ndarray, images: np.ndarray) -> float:
-    """Least distance, in cells, between two places of an outline that face each other across the outside.
+def facing(points: np.ndarray, outwards: np.ndarray, sizes: np.ndarray, images: np.ndarray) -> float | None:
+    """Least distance, in cells, between two places of a surface that face each other across the outside.
 
-    ``ends``, (segments, 2, columns), has the size of cells in the column after x, y, v_1, v_2. Places that
-    are more than ``_BEARING`` cells apart are not compared; the result is inf if none face each other.
-    ``images`` are displacements of the outline's images across periodic boundaries, with zero for the outline
-    itself.
+    The surface has ``points`` and unit normals ``outwards``, (points, dim), and ``sizes`` of cells there.
+    Places that are more than ``_BEARING`` cells apart are not compared; the result is None if none face each
+    other.  ``images`` are displacements of the surface's images across periodic boundaries, with zero for the
+    surface itself.
     """
-    if len(ends) < 2:
-        return np.inf
-    ends = np.concatenate([displaced(ends, image) for image in images])
-    along, middle, sizes = (
-        ends[:, 1, :2] - ends[:, 0, :2],
-        ends[:, :, :2].mean(axis=1),
-        ends[:, :, 4].mean(axis=1),
-    )
-    lengths = np.maximum(np.linalg.norm(along, axis=1, keepdims=True), np.finfo(float).tiny)
-    outwards = np.stack([along[:, 1], -along[:, 0]], axis=1) / lengths
+    if len(points) < 2:
+        return None
+    count = len(images)
+    middle = np.concatenate([points + image for image in images])
+    outwards, sizes = np.tile(outwards, (count, 1)), np.tile(sizes, count)
     i, j = cKDTree(middle).query_pairs(_BEARING * sizes.max(), output_type="ndarray").T
     off = middle[j] - middle[i]
     width = np.linalg.norm(off, axis=1)
     across = np.minimum((outwards[i] * off).sum(axis=1), -(outwards[j] * off).sum(axis=1))
     cells = width / np.minimum(sizes[i], sizes[j])
-    return float(cells[(across > _OPPOSITE * width) & (cells < _BEARING)].min(initial=np.inf))
+    found = cells[(across > _OPPOSITE * width) & (cells < _BEARING)]
+    return float(found.min()) if len(found) else None
+
+
+def level_surface(corners: np.ndarray, values: np.ndarray, level: float) -> tuple[np.ndarray, np.ndarray]:
+    """The middle of the surface of a level in each simplex that has one, and its unit normal down the slope.
+
+    ``corners``, (simplices, dim + 1, dim), and ``values``, (simplices, dim + 1), are those of simplices with
+    such a surface.
+    """
+    dim = corners.shape[2]
+    slopes = np.linalg.solve(corners[:, 1:] - corners[:, :1], (values[:, 1:] - values[:, :1])[:, :, None])
+    sums, number = np.zeros((len(corners), dim)), np.zeros(len(corners))
+    for i, j in combinations(range(dim + 1), 2):
+        is_cut = (values[:, i] >= level) != (values[:, j] >= level)
+        share = (values[:, i] - level) / np.where(is_cut, values[:, i] - values[:, j], 1.0)
+        sums += is_cut[:, None] * (corners[:, i] + share[:, None] * (corners[:, j] - corners[:, i]))
+        number += is_cut
+    return sums / number[:, None], -slopes[:, :, 0] / np.linalg.norm(slopes[:, :, 0], axis=1, keepdims=True)
 
 
 def _to_segments(

@@ -30,6 +30,7 @@ from ngvisco.run.interruption import Interruption
 from ngvisco.run.ledger import Ledger
 from ngvisco.run.notebook import simulation_html
 from ngvisco.run.ranks import ending_all_ranks, tell
+from ngvisco.run.self_contact import SelfContact
 from ngvisco.run.snapshot import take_up
 from ngvisco.run.state import RunState
 from ngvisco.run.stepping import Rejection, TimeSteps, time_steps
@@ -145,6 +146,7 @@ class Simulation(RunState):
         super().__init__(step, time, initial, options, passive)
         self.observers = list(observers)
         self.interruption = Interruption(self)
+        self.self_contact = SelfContact(step, self.ranks)
 
     def on(self, mesh: Mesh, **changes: Any) -> Simulation:
         """A new simulation at its start, on another mesh or with other arguments of the class.
@@ -213,6 +215,7 @@ class Simulation(RunState):
             self.set_time(step.time, number)
             self.ledger.check_closure()
             self.tension(self.t)
+            self.self_contact(self.t, row["cfl"])
             return row
 
     @ending_all_ranks()

@@ -7,11 +7,11 @@ import warnings
 
 import numpy as np
 import pytest
-from ngsolve import CF, Id, IfPos, x, y
+from ngsolve import CF, Id, IfPos, x, y, z
 from scipy.special import ellipe
 
 import ngvisco as nv
-from ngvisco.geometries import box
+from ngvisco.geometries import box, structured_box
 from ngvisco.run.frames import read_pvd
 from ngvisco.run.outlines import Cut, Moments, distance
 from ngvisco.run.waves import moduli
@@ -209,14 +209,47 @@ def test_a_body_whose_outline_meets_itself_is_warned_of_once(slit):
     in_slit = IfPos((slit / 2) ** 2 - (x - 0.5) ** 2, y - 0.4, -1.0)
     where = IfPos(in_slit, -1.0, 0.16 - (y - 0.5) ** 2)
     run = run_with(("e", where), maxh=0.2, m=1, initial=nv.Initial(velocity=CF((0.0, 0.0))))
-    table = nv.Bodies()
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
-        table.start(run)
-        table._sample(run)
+        run.self_contact(0.0, 0.0)
+        run.self_contact(0.0, 1.0)
     said = [str(one.message) for one in said if one.category is nv.SelfContactWarning]
     assert len(said) == (slit < 0.3)
     assert all(re.search(r"body 'e' face each other at a distance of [01]\.\d", text) for text in said)
+
+
+@pytest.mark.parametrize("slit", [0.1, 0.45])
+def test_in_space_too_a_body_whose_surface_meets_itself_is_warned_of(slit):
+    """Half of the cube is a block with a slit of half a cell or of 1.8 cells."""
+    mesh, elastic = structured_box((1, 1, 1), (6, 6, 6)), nv.ReferentialNeoHookean(K_e=10.0, G_e=2.0)
+    in_slit = IfPos((slit / 2) ** 2 - (x - 0.5) ** 2, y - 0.4, -1.0)
+    where = IfPos(in_slit, -1.0, 0.7 - z)
+    bodies = [nv.Body(name="c", where=where, material=elastic, density=1.0)]
+    bodies.append(nv.Body(name="rest", material=elastic, density=1.0))
+    run = nv.Simulation(mesh, nv.Model(bodies=bodies), dt=0.01, discretisation=nv.Discretisation(k=1, m=0))
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        run.run(0.01)
+    said = [str(one.message) for one in said if one.category is nv.SelfContactWarning]
+    assert len(said) == (slit < 0.2)
+    assert all(re.search(r"body 'c' face each other at a distance of [01]\.\d", text) for text in said)
+
+
+def test_a_convex_body_and_one_at_walls_do_not_meet_themselves():
+    elastic = nv.ReferentialNeoHookean(K_e=10.0, G_e=2.0)
+    for mesh, where in (
+        (structured_box((1, 1, 1), (5, 5, 5)), nv.Ball((0.45, 0.52, 0.5), 0.3)),
+        (structured_box((1, 1, 1), (5, 5, 5)), nv.Block((0.0, 0.07, 0.0), (0.9, 0.93, 1.0))),
+        (structured_box((1, 1), (8, 8)), nv.Block((0.0, 0.0), (0.95, 0.9))),
+    ):
+        bodies = [nv.Body(name="e", where=where, material=elastic, density=1.0)]
+        bodies.append(nv.Body(name="rest", material=elastic, density=1.0))
+        run = nv.Simulation(
+            mesh, nv.Model(bodies=bodies), dt=0.01, discretisation=nv.Discretisation(k=1, m=0)
+        )
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", nv.SelfContactWarning)
+            run.self_contact(0.0, 0.0)
 
 
 def test_contours_are_rows_and_lines_for_paraview(tmp_path):
