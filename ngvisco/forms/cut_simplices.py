@@ -46,15 +46,23 @@ def share_above(values: np.ndarray, weights: np.ndarray | None = None) -> np.nda
 
 def level(heights: np.ndarray, theta: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
     """Level of linear functions with the values ``heights``, (cells, corners), that they exceed in the share
-    ``theta``, (cells,), of their cells; ``weights`` are those of ``share_above``."""
-    low, high = heights.min(axis=1), heights.max(axis=1)
+    ``theta``, (cells,), of their cells; ``weights`` are those of ``share_above``.
+
+    ``heights`` may also be (cells, pieces, corners) for functions that are linear in equal pieces of a cell.
+    """
+    if heights.ndim == 2:
+        heights, weights = heights[:, None], None if weights is None else weights[:, None]
+    low, high = heights.min(axis=(1, 2)), heights.max(axis=(1, 2))
     result = np.where(theta < 0.5, high, low)
     cut = np.minimum(theta, 1 - theta) > NO_INTERFACE
     heights, theta, low, high = heights[cut], theta[cut], low[cut], high[cut]
     weights = None if weights is None else weights[cut]
+    sizes = np.ones(heights.shape[:2]) if weights is None else weights.mean(axis=2)
+    sizes = sizes / sizes.sum(axis=1, keepdims=True)
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        is_more = share_above(heights - middle[:, None], weights) > theta
+        shares = share_above(heights - middle[:, None, None], weights)
+        is_more = (shares * sizes).sum(axis=1) > theta
         low, high = np.where(is_more, middle, low), np.where(is_more, high, middle)
     result[cut] = 0.5 * (low + high)
     return result

@@ -22,7 +22,9 @@ fractions into [0, 1].
 
 The normal of the plane that bounds body i in a cell is the slope of theta_i averaged at the vertices; the
 plane cuts off the mean of theta_i from the cell.  The strip is a prism between the facet and its place
-before the step.  About an axis shares are those of volumes, with the weight r.
+before the step.  About an axis shares are those of volumes, with the weight r.  With
+``Discretisation.outlines`` level lines of a carried distance take the place of planes
+(``ngvisco.forms.level_lines``); the exchanges and their integrals stay.
 
 The moves keep N at every point, and int n_i and int X_i. The moves therefore keep masses and sum theta = 1,
 and, since bodies have one density, rho and momentum. A common volumetric energy depends on N alone. If f is
@@ -40,29 +42,27 @@ import numpy as np
 from ngsolve import (
     CF,
     ET,
-    H1,
     VOL,
     CoefficientFunction,
     Discontinuous,
-    ElementId,
     FacetFESpace,
-    FESpace,
     GridFunction,
     IntegrationRule,
     LinearForm,
-    Periodic,
     x,
     y,
     z,
 )
 
-from ngvisco.errors import InputWarning, ParameterError
+from ngvisco.errors import InputWarning
 from ngvisco.forms.cut_simplices import before, level, share_above
+from ngvisco.forms.level_lines import CarriedDistances, LevelLines
 from ngvisco.forms.mesh.mesh_arrays import VERTICES
 from ngvisco.forms.mesh.quadrature import compiled
+from ngvisco.forms.sharp_models import SHARP, check_sharp
+from ngvisco.forms.surroundings import Surroundings, numbers_of_cells
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
-from ngvisco.parallel.exchange import Exchange, Halo
 from ngvisco.physics.bodies import AMOUNT, NO_INTERFACE
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.tensors import if_positive
@@ -80,43 +80,19 @@ FAR = 0.7
 """Largest strip that a step may sweep at an interface, in heights of its cell. After one turn the error of a
 disc over its area is 0.051, 0.071, 0.166 and 0.221 if the largest strip has 0.47, 0.59, 0.78 and 0.94 of its
 cell's height."""
-_FIELD = "Discretisation.sharp"
-
-
-def check_sharp(step: Step) -> None:
-    """Raise ParameterError, with the reason, for a model whose interfaces cannot be sharpened."""
-    material, mesh = step.model.material, step.mesh
-    if not isinstance(material, Mixture):
-        raise ParameterError(_FIELD, True, False, " for a model without bodies")
-    densities = {float(body.density or 0.0) for body in material.bodies}
-    for is_wrong, reason in (
-        (step.layout.discretisation.m != 1, " unless m = 1"),
-        (
-            len(densities) > 1,
-            " for bodies of different densities, since sharpening would change the momentum",
-        ),
-        (not material.has_one_volume, " for different volumetric energies, since energy would rise"),
-        (
-            not all(psi.is_linear for psi in material.energies.values()),
-            " unless energies are linear in B",
-        ),
-        (material.heat is not None, " for bodies with heat"),
-        (bool(material.plastic_contents), " for bodies that harden"),
-        ({cell.type for cell in mesh.Elements(VOL)} - {ET.TRIG, ET.TET}, " on quadrilaterals"),
-    ):
-        if is_wrong:
-            raise ParameterError(_FIELD, True, False, reason)
 
 
 class Sharpening:
     """Separation of bodies in a step's present state; raises ParameterError for an unsuitable model."""
 
     def __init__(self, step: Step) -> None:
-        check_sharp(step)
+        check_sharp(step.model, step.mesh, step.layout.discretisation)
         self.step, self.mesh, self.dim = step, step.mesh, step.mesh.dim
         material, slices = step.model.material, step.layout.states.slices
         assert isinstance(material, Mixture)
-        names = [body.name for body in material.bodies]
+        self._names = names = [body.name for body in material.bodies]
+        self._layers = [-1 if body.where is None else body.order for body in material.bodies]
+        self._distances: CarriedDistances | None = None
         self._amounts = [slices[AMOUNT + name].start for name in names]
         self._contents = [
             [i for X in material.contents(name) for i in range(slices[X.name].start, slices[X.name].stop)]
@@ -129,7 +105,9 @@ class Sharpening:
         self._basis, self._functions, self._inverse, self._masses = self._of_cells()
         self._mass = self._masses.sum(axis=1)
         self._ranks = Communicator.of(self.mesh)
-        self._vertices, self._facets, self._sides = self._of_vertices_and_facets()
+        around = Surroundings(self.mesh, self._x, bool(step.walls.periodic), self._ranks)
+        self._vertices, self._facets, self._sides = around.vertices, around.facets, around.sides
+        self._shared, self._halo, self._at_border = around.shared, around.halo, around.at_border
         self._outflows = [self._outflow(step.now.z[n]) for n in self._amounts]
         corners = range(self.dim + 1)
         self._on = np.array([[c for c in corners if c != opposite] for opposite in corners])
@@ -143,6 +121,10 @@ class Sharpening:
         self._slopes = np.concatenate([-slopes.sum(axis=1, keepdims=True), slopes], axis=1)
         self.swept, self._is_said = 0.0, False
         """Height of the longest strip of the last step, in heights of its cell."""
+
+    def follow(self, distances: CarriedDistances) -> None:
+        """Take outlines from the carried distances of bodies, in place of planes."""
+        self._distances = distances
 
     # --- a step, as the integrator's ``carried`` objects follow it ---------------------------------------
 
@@ -170,12 +152,14 @@ class Sharpening:
                 f"{FAR:g} heights displace the interface. Take dt or dt_max <= {longest:.2g} s, or larger "
                 "cells there"
             )
-            words = Words(Mention(_FIELD), " = ", True, message)
+            words = Words(Mention(SHARP), " = ", True, message)
             self._ranks.warn(words, InputWarning, stacklevel=5)
 
     def put_apart(self, tau: float) -> None:
         """Separate bodies of the present state at the end of a step of length ``tau``, s."""
         u, self._tau = self._values(), tau
+        if self._distances is not None:
+            self._distances.carry(tau)
         count, is_apart = len(self._amounts), np.zeros(len(self._mass), dtype=bool)
         heights = -np.einsum("kond,kod->kon", tau * self._velocity[:, self._on], self._slopes)
         strips = np.maximum(heights, 0.0)
@@ -253,7 +237,14 @@ class Sharpening:
         Facets are numbered by their opposite corners; ``strips`` are the heights of the strips through them,
         (cells, facets, corners of the facet), in heights of the cell.
         """
-        height, on, out = self._behind(self._start, i), self._on, self._tau * self._flux
+        out = self._tau * self._flux
+        swept = self._swept_of_planes if self._distances is None else self._swept_of_outlines
+        behind = swept(i, j, strips)
+        return np.asarray(behind * (out[i] + out[j]) - out[i])
+
+    def _swept_of_planes(self, i: int, j: int, strips: np.ndarray) -> np.ndarray:
+        """Shares of body i in the strips, (cells, facets), by planes."""
+        height, on = self._behind(self._start, i), self._on
         cut = np.flatnonzero(np.ptp(height, axis=1) > 0)
         path, slopes, sizes = self._tau * self._velocity[cut], self._slopes[cut], strips[cut]
         self.swept = max(self.swept, float(sizes.max(initial=0.0)))
@@ -271,7 +262,33 @@ class Sharpening:
         behind = np.repeat(self._fraction(self._start, i)[:, None], self.dim + 1, axis=1)
         of_strip = (shares * sizes).sum(axis=2) / np.where(size > 0, size, 1.0)
         behind[cut] = np.where(size > 0, of_strip, behind[cut])
-        return np.asarray(behind * (out[i] + out[j]) - out[i])
+        return behind
+
+    def _swept_of_outlines(self, i: int, j: int, strips: np.ndarray) -> np.ndarray:
+        """Shares of body i in the strips, (cells, facets), by outlines."""
+        theta = self._fraction(self._start, i)
+        lines, cut = self._lines(theta, i, j, at_start=True)
+        behind = np.repeat(theta[:, None], self.dim + 1, axis=1)
+        self.swept = max(self.swept, float(strips[cut].max(initial=0.0)))
+        corners = np.repeat(np.eye(self.dim + 1)[None], len(cut), axis=0)
+        path, slopes = self._tau * self._velocity[cut], self._slopes[cut]
+        starts = np.stack([before(corners[..., c], path, slopes) for c in range(self.dim + 1)], axis=2)
+        radii = None if self._radii is None else self._radii[cut]
+        for facet, on in enumerate(self._on):
+            share = lines.shares(corners[:, on], starts[:, on], radii)
+            is_some = (strips[cut, facet].sum(axis=1) > 0) & np.isfinite(share)
+            behind[cut[is_some], facet] = share[is_some]
+        return behind
+
+    def _lines(self, theta: np.ndarray, i: int, j: int, at_start: bool) -> tuple[LevelLines, np.ndarray]:
+        """Outlines of body i beside body j in cells with the fractions ``theta``, and the numbers of these
+        cells."""
+        cut = np.flatnonzero(np.minimum(theta, 1 - theta) > _LEAST)
+        upper, sign = (i, 1.0) if self._layers[i] > self._layers[j] else (j, -1.0)
+        assert self._distances is not None
+        phi = self._distances.of(self._names[upper], at_start)
+        radii = None if self._radii is None else self._radii[cut]
+        return LevelLines(self.mesh, sign * phi, cut, theta[cut], radii), cut
 
     def _between(self, u: np.ndarray, i: int, j: int, defects: np.ndarray, pair: np.ndarray) -> None:
         """Exchange the fluxes' defects between cells of the mask ``pair``, in place."""
@@ -287,7 +304,7 @@ class Sharpening:
             left = left - self._exchanged(u, (i, giving), (j, taking), left)
 
     def _fill(self, u: np.ndarray) -> None:
-        """Fill cells with a negative amount of a body, in place. Neighbours give this body in proportion to
+        """Fill cells with a negative amount of a body, in place. Surroundings give this body in proportion to
         their amounts of it; the cell gives the other bodies in exchange, in proportion to its amounts of
         them."""
         cell, _, neighbour, _ = self._facets.T
@@ -344,11 +361,16 @@ class Sharpening:
     def _within(self, u: np.ndarray, i: int, j: int, pair: np.ndarray) -> np.ndarray:
         """Separate bodies i and j by planes in cells of the mask ``pair``, in place; return the numbers of
         the cells with an interface."""
-        height, means = self._behind(u, i), self._means(u)
-        chosen = np.flatnonzero(pair & (np.ptp(height, axis=1) > 0))
-        height = height[chosen]
-        doubled = (np.column_stack([height, height[:, c]]) for c in range(self.dim + 1))
-        slope = np.stack([share_above(heights) for heights in doubled], axis=1)
+        means = self._means(u)
+        if self._distances is not None:
+            chosen = np.flatnonzero(pair)
+            slope = self._projected(u, i, j)[chosen]
+        else:
+            height = self._behind(u, i)
+            chosen = np.flatnonzero(pair & (np.ptp(height, axis=1) > 0))
+            height = height[chosen]
+            doubled = (np.column_stack([height, height[:, c]]) for c in range(self.dim + 1))
+            slope = np.stack([share_above(heights) for heights in doubled], axis=1)
         slope -= (slope * self._masses[chosen]).sum(axis=1, keepdims=True) / self._mass[chosen, None]
         slope *= self.dim + 2  # the projection's factor; the bound below scales the slope to 0.6 or less
         both = means[self._amounts][[i, j]][:, chosen].sum(axis=0)
@@ -356,6 +378,15 @@ class Sharpening:
         deviation[i], deviation[j] = both[:, None] * slope, -both[:, None] * slope
         self._deviate(u, chosen, deviation)
         return chosen
+
+    def _projected(self, u: np.ndarray, i: int, j: int) -> np.ndarray:
+        """Integrals of (dim + 1) lambda over body i's part within its outline, over the cell's size, (cells,
+        corners)."""
+        theta = self._fraction(u, i)
+        lines, cut = self._lines(theta, i, j, at_start=False)
+        result = np.repeat(theta[:, None], self.dim + 1, axis=1)
+        result[cut] = lines.projected()
+        return result
 
     def _bound(self, u: np.ndarray, cells: np.ndarray) -> None:
         """Bring fractions into [0, 1] in ``cells``, in place."""
@@ -388,7 +419,7 @@ class Sharpening:
         coefficients to values at corners, (cells, corners, functions), and its inverse; and integrals, by
         the rule of the forms, of linear functions that are 1 at one corner, (cells, corners)."""
         space = self.step.layout.scalar_space("z")
-        dofs = _numbers(space)
+        dofs = numbers_of_cells(space)
         function, values = GridFunction(space), np.empty((*self._x.shape[:2], dofs.shape[1]))
         for j in range(dofs.shape[1]):
             function.vec.FV().NumPy()[:] = 0.0
@@ -411,38 +442,3 @@ class Sharpening:
             compiled(if_positive(speed, speed, 0 * speed) * amount * side.TestFunction())
         )
         return form
-
-    def _of_vertices_and_facets(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Numbers of the cells' vertices, (cells, corners); facets between two cells, as rows of a cell, its
-        corner opposite to the facet, the other cell and its opposite corner; and for each corner the number,
-        within the cell, of the facet opposite to it, (cells, corners).  Identified vertices and facets count
-        once.  A halo cell has one facet, whose corner has the number 0."""
-        periodic = bool(self.step.walls.periodic)
-        spaces = H1(self.mesh, order=1), FacetFESpace(self.mesh, order=0)
-        nodes, facets = (Periodic(s) if periodic else s for s in spaces)
-        vertices, sides = _numbers(nodes), _numbers(facets)
-        self._shared, borders = (Exchange.of(space, self._ranks) for space in (nodes, facets))
-        points = np.array([vertex.point for vertex in self.mesh.vertices])
-        first, rows, opposite = dict[int, tuple[int, int]](), [], np.empty_like(sides)
-        for cell, element in enumerate(self.mesh.Elements(VOL)):
-            vertices_of = [vertex.nr for vertex in element.vertices]
-            near = np.linalg.norm(self._x[cell][:, None] - points[vertices_of], axis=2).argmin(axis=1)
-            vertices[cell] = vertices[cell][near]
-            for at, (number, facet) in enumerate(zip(sides[cell], element.facets, strict=True)):
-                on = {vertex.nr for vertex in self.mesh[facet].vertices}
-                corner = next(c for c, place in enumerate(near) if vertices_of[place] not in on)
-                opposite[cell, corner] = at
-                if number in first:
-                    rows.append([*first[number], cell, corner])
-                else:
-                    first[number] = cell, corner
-        border = np.array([first[number] for number in borders.places], dtype=int).reshape(-1, 2)
-        self._halo, self._at_border = Halo(borders, border[:, 0], self.mesh.ne), border.T
-        rows += [[*of_rank, self.mesh.ne + number, 0] for number, of_rank in enumerate(border)]
-        return vertices, np.array(rows, dtype=int).reshape(-1, 4), opposite
-
-
-def _numbers(space: FESpace) -> np.ndarray:
-    """Numbers of the dim + 1 unknowns of every cell, (cells, unknowns)."""
-    numbers = [space.GetDofNrs(ElementId(VOL, cell)) for cell in range(space.mesh.ne)]
-    return np.array(numbers, dtype=int).reshape(space.mesh.ne, space.mesh.dim + 1)

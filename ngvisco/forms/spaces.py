@@ -75,15 +75,21 @@ class Discretisation:
     sharp : bool
         Whether smeared interfaces between bodies of one density are sharpened after each step, in cells of
         two bodies.  A cell that an interface crosses completely in a step is not sharpened.  Needs m = 1.
+    outlines : bool
+        Whether sharp interfaces follow outlines that the flow carries, in place of one plane in each cell.
+        Slots and films of a body may then be thinner than a cell.  Needs ``sharp`` and a mesh of triangles.
     """
 
     k: Annotated[int, Quantity("1", "from 1 to 3")] = 2
     m: Annotated[int, Quantity("1", "from 0 to 2")] = 1
     quadrature_bonus: Annotated[int, Quantity("1", "from 0 to 12")] = 0
     sharp: bool = False
+    outlines: bool = False
 
     def __post_init__(self) -> None:
         require_fields(self)
+        if self.outlines and not self.sharp:
+            raise ParameterError("Discretisation.outlines", True, False, " unless interfaces are sharp")
 
 
 class Introducing(Protocol):

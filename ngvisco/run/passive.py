@@ -21,28 +21,18 @@ through a wall has the interior values, since its origin is not known.
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping, Sequence
 
-import ngsolve as ngs
 import numpy as np
-from ngsolve import CF, L2, CoefficientFunction, FESpace, GridFunction, Mesh, sqrt, x, y, z
-from ngsolve.krylovspace import GMRESSolver
+from ngsolve import CF, CoefficientFunction, FESpace, GridFunction, Mesh, sqrt, x, y, z
 
 from ngvisco.errors import CheckpointError, InputWarning, ParameterError, UnknownNameError
-from ngvisco.forms.fields import Fields
-from ngvisco.forms.rates import Conjugate, Rates
+from ngvisco.forms import carrier as transport
+from ngvisco.forms.carrier import Carrier, cells_of
+from ngvisco.forms.distances import Distances
 from ngvisco.forms.system import Step
-from ngvisco.forms.terms.transport import Trace, Upwinding, transport_in_cells, transport_through_facets
-from ngvisco.forms.unknown_values import UnknownValues
 from ngvisco.parallel.communicator import Communicator
-from ngvisco.physics.material import StateSpace
-from ngvisco.physics.parameters import Parameter
-from ngvisco.physics.tensors import IDENTITY, inner, square
-
-TOLERANCE, ENOUGH, ITERATIONS = 1e-12, 1e-9, 200
-"""The linear systems' tolerance, the relative residual that is still accepted because of rounding, and the
-largest number of iterations."""
+from ngvisco.physics.tensors import IDENTITY, square
 
 NAMES = ("F_tot", "reference_map", "creep_strain")
 CARRIED = (*NAMES, "displacement")
@@ -67,17 +57,17 @@ class PassiveFields:
         self.parts: dict[str, GridFunction] = {}
         """Carried grid functions by name; each one is a scalar or vector part of a field."""
         self._sources: dict[str, CoefficientFunction] = {}
-        self._solvers: dict[str, _Carrier] = {}
+        self._solvers: dict[str, Carrier] = {}
         if "F_tot" in self.names:
-            self._add_group("F_tot", dim, _Carrier(step, True, step.now.grad_v))
+            self._add_group("F_tot", dim, Carrier(step, True, step.now.grad_v))
             for j in range(dim):
                 self.parts[f"F_tot_{j + 1}"].Set(CF(tuple(F_0[i, j] for i in range(dim))))
-        flow = _Carrier(step, False, None)
+        flow = Carrier(step, False, None)
         gap = F_0[2, 2] - 1
         hoop = step.now.hoop
         is_stretched = hoop is not None or (dim == 2 and step.quadrature.integrate_cells(gap * gap) > 0)
         if "F_tot" in self.names and is_stretched:
-            self._add_group("F_tot_33", 1, flow if hoop is None else _Carrier(step, False, hoop))
+            self._add_group("F_tot_33", 1, flow if hoop is None else Carrier(step, False, hoop))
             self.parts["F_tot_33_1"].Set(F_0[2, 2])
         if "reference_map" in self.names:
             self._add_group("displacement", dim, flow)
@@ -91,7 +81,11 @@ class PassiveFields:
                 self._add_group(f"creep_strain{suffix}", 1, flow)
                 self._sources[f"creep_strain{suffix}_1"] = sqrt(2 / 3 * square(Pi))
 
-    def _add_group(self, name: str, count: int, carrier: _Carrier) -> None:
+        self.distances = Distances(step)
+        """Distances from the bodies' outlines, which have a time scheme of their own."""
+        self.parts |= {f"distance_{name}": part for name, part in self.distances.parts.items()}
+
+    def _add_group(self, name: str, count: int, carrier: Carrier) -> None:
         for i in range(count):
             key = f"{name}_{i + 1}"
             self.parts[key] = GridFunction(carrier.cells, name=key)
@@ -119,8 +113,8 @@ class PassiveFields:
 
     def space(self, key: str, mesh: Mesh) -> FESpace:
         """The space of the part ``key`` on another mesh."""
-        carrier = self._solvers[key]
-        return _cells(mesh, self.step.discretisation.k, carrier.vector)
+        is_vector = key in self._solvers and self._solvers[key].vector
+        return cells_of(mesh, self.step.discretisation.k, is_vector)
 
     @property
     def unsolved(self) -> int:
@@ -130,7 +124,7 @@ class PassiveFields:
 
     def begin(self) -> None:
         """Begin a step: forget the stages since the last accepted step."""
-        self._stages, self._unsolved = [self.arrays()], set()
+        self._stages, self._unsolved = [{key: self.arrays()[key] for key in self._solvers}], set()
 
     def stage(self, weights: np.ndarray, share: float = 1.0) -> None:
         """Carry all fields over a stage, which starts from the weighted sum of the stages so far.
@@ -150,15 +144,15 @@ class PassiveFields:
             self._has_warned = True
             names = ", ".join(sorted(self._unsolved))
             message = (
-                f"the passive fields {names} were not solved in {ITERATIONS} iterations. The step itself is "
-                "solved, and the ledger's column passive_unsolved counts such fields; take smaller steps"
+                f"the passive fields {names} were not solved in {transport.ITERATIONS} iterations. The step "
+                "itself is solved, and the ledger's column passive_unsolved counts such fields; take smaller steps"
             )
             Communicator.of(self.step.mesh).warn(message, InputWarning, stacklevel=2)
 
     def end(self, weights: np.ndarray) -> None:
         """Accept the step: the fields become the weighted sum of its stages."""
-        for key, field in self.parts.items():
-            field.vec.FV().NumPy()[:] = _combined(weights, self._stages, key)
+        for key in self._solvers:
+            self.parts[key].vec.FV().NumPy()[:] = _combined(weights, self._stages, key)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Copies of all coefficients for a checkpoint, by the parts' names."""
@@ -180,91 +174,3 @@ class PassiveFields:
 def _combined(weights: np.ndarray, stages: Sequence[Mapping[str, np.ndarray]], key: str) -> np.ndarray:
     """Weighted sum of a part's stages so far; weights of later stages are 0."""
     return sum(weight * stage[key] for weight, stage in zip(weights, stages, strict=False) if weight != 0)
-
-
-def _cells(mesh: Mesh, order: int, vector: bool) -> FESpace:
-    return ngs.VectorL2(mesh, order=order) if vector else L2(mesh, order=order)
-
-
-class _Growth(Rates):
-    """The rate A f of a passive field, in place of the rates of the material's variables."""
-
-    def __init__(self, step: Step, A: CoefficientFunction | None) -> None:
-        super().__init__(step.model, step.mesh.dim, step.layout.symmetry.is_axisymmetric)
-        self._A = A
-
-    def power(
-        self, z: UnknownValues, along: UnknownValues, G: UnknownValues, name: Conjugate
-    ) -> Sequence[CoefficientFunction]:
-        return [] if self._A is None else [inner(self._A * z.z, G.parts[name])]
-
-
-class _Carrier:
-    """Solves f/tau + (v . grad) f - A f = f_old/tau + source, with one matrix for many fields.
-
-    Fields have the form of transport of the material's variables (``ngvisco.forms.terms.transport``).  The
-    unknowns in cells are condensed, so that the system has the traces between cells alone.
-    """
-
-    def __init__(self, step: Step, vector: bool, rate: CoefficientFunction | None) -> None:
-        """``rate`` is A, a scalar or (dim, dim), None for A = 0; ``vector`` fields have dim components."""
-        mesh, order = step.mesh, step.discretisation.k
-        self.vector, self.cells = vector, _cells(mesh, order, vector)
-        traces = ngs.FacetFESpace(mesh, order=order)
-        traces = ngs.VectorValued(traces, mesh.dim) if vector else traces
-        self.space = FESpace([self.cells, ngs.Periodic(traces) if step.layout.periodic else traces])
-        (f, f_hat), (g, g_hat) = self.space.TnT()
-        c, layout, rules = copy.copy(step.context), copy.copy(step.layout), step.quadrature
-        c.rates = _Growth(step, rate)
-        layout.states = StateSpace.of((Parameter("f"),), mesh.dim)
-        u = Fields(layout, {"v": step.now.v, "z": f, "z_hat": f_hat}, c)
-        w = Fields(layout, {"z": g, "z_hat": g_hat}, c)
-        cells = c.rate(inner(f, g)) - sum(transport_in_cells(u, u, w, "z"))
-        facets = sum(Trace().facets(u, w)) + sum(Upwinding().facets(u, w))
-        facets -= transport_through_facets(u, u, w, "z")
-        self.form = ngs.BilinearForm(self.space, condense=True)
-        self.form += rules.cells(cells.Compile())
-        self.form += rules.facets(facets.Compile())
-        self._preconditioner = ngs.Preconditioner(self.form, "local")
-        # old values are integrated by the matrix's rule; by another rule a field at rest would grow
-        self._old = GridFunction(self.cells)
-        self._load = ngs.LinearForm(self.space)
-        self._load += rules.cells(c.rate(inner(self._old, g)))
-        self._tests, self._rules = g, rules
-        self._traces = ngs.Projector(self.space.FreeDofs(True), True)
-        self._solution = GridFunction(self.space)
-
-    def carry(self, old: np.ndarray, source: CoefficientFunction | None) -> tuple[np.ndarray, bool]:
-        """Coefficients of the field after a step from ``old``, with the form's present matrix.
-
-        Returns the coefficients, and whether the linear system is solved.  If the system is not solved, the
-        coefficients are the last iterate, or ``old`` if the iterate is not finite.
-        """
-        is_solved = True
-        form, solution = self.form, self._solution
-        self._old.vec.FV().NumPy()[:] = old
-        rhs = self._load.Assemble().vec
-        if source is not None:
-            rhs += ngs.LinearForm(self._rules.cells(source * self._tests)).Assemble().vec
-        reduced = (rhs + form.harmonic_extension_trans * rhs).Evaluate()
-        self._traces.Project(reduced)
-        solution.vec[:] = 0.0
-        if reduced.Norm() > 0:
-            solver = GMRESSolver(
-                mat=form.mat,
-                pre=self._preconditioner.mat,
-                tol=TOLERANCE,
-                maxiter=ITERATIONS,
-                printrates=False,
-            )
-            solution.vec.data = solver * reduced
-            # one iteration solves the system of a body at rest, and GMRES lists no residual of that iteration
-            rest = (reduced - form.mat * solution.vec).Evaluate()
-            self._traces.Project(rest)
-            is_solved = bool(rest.Norm() <= ENOUGH * reduced.Norm())
-        solution.vec.data += form.harmonic_extension * solution.vec
-        solution.vec.data += form.inner_solve * rhs
-        values: np.ndarray = solution.components[0].vec.FV().NumPy().copy()
-        if not np.isfinite(values).all():
-            return old.copy(), False
-        return values, is_solved

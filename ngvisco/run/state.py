@@ -71,12 +71,15 @@ class RunState:
         self.ledger.exchange.on_sides = self.solver.dissipated_on_sides
         self.tension = Tension(step, self.sampler)
         self.passive = PassiveFields(step, passive, F_0)
+        distances, sharpening = self.passive.distances, self.bounds.sharpening
+        if sharpening is not None and step.discretisation.outlines:
+            sharpening.follow(distances)
         self.integrator = Integrator(
             self.solver,
             time.made,
             self.ledger.rates,
             self.bounds,
-            carried=[part for part in (self.passive, self.bounds.sharpening) if part is not None],
+            carried=[part for part in (self.passive, distances, sharpening) if part is not None],
             startup=time.startup,
             relaxed=time.relaxation,
         )

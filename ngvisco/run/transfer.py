@@ -167,7 +167,8 @@ def require_fit(source: Simulation, target: Simulation) -> None:
         raise ParameterError(
             "transfer.target", f"a run at step {target.number}", "a run before its first step"
         )
-    missing = sorted(set(target.passive.names) - set(source.passive.names))
+    carried, wanted = ({*run.passive.names, *run.passive.distances.parts} for run in (source, target))
+    missing = sorted(wanted - carried)
     if missing:
         raise ParameterError("transfer.target", missing, "passive fields that the source carries too")
     volumes = [Integrate(CF(1.0), run.mesh) for run in (source, target)]

@@ -97,7 +97,7 @@ class Trajectory:
     folder has.  Parts of the derivatives' state are kept there by name.
 
     Raises ParameterError for a run without derivatives: with growing damage, pistons on oblique walls,
-    relaxed steps, viscosities in series for constants in cells, or several ranks.
+    relaxed steps, carried outlines, viscosities in series for constants in cells, or several ranks.
     """
 
     simulation: Simulation
@@ -118,6 +118,10 @@ class Trajectory:
                 "the impulse of a piston on an oblique or curved wall at a step's end has no derivative",
             ),
             (run.arguments["time"].relaxation, "the lengths of relaxed steps depend on the solution"),
+            (
+                run.rothe_step.discretisation.outlines,
+                "the distances that Discretisation.outlines carries have no derivative",
+            ),
             (run.ranks.is_distributed, "derivatives need one process, and this run has several ranks"),
             (
                 bool(run.rothe_step.context.recovered_slopes),

@@ -179,9 +179,9 @@ def bodies(solver: str, maxh: float = 0.4) -> nv.Simulation:
     )
 
 
-def apart(solver: str, dim: int = 2) -> nv.Simulation:
-    """Bodies that are separated after each step, two of which meet in a fluid, with films of it in their
-    cells; periodic in the plane."""
+def apart(solver: str, dim: int = 2, outlines: bool = False) -> nv.Simulation:
+    """Bodies that are separated after each step by planes or ``outlines``, two of which meet in a fluid, with
+    films of it in their cells; periodic in the plane."""
     laws = {"viscosity": VISCOSITY, "density": 1.0}
     solid = nv.ReferentialNeoHookean(K_e=8.0, G_e=2.0)
     centre = (0.5, 0.55, 0.5)[:dim]
@@ -196,7 +196,7 @@ def apart(solver: str, dim: int = 2) -> nv.Simulation:
         nv.Model(bodies=parts),
         dt=0.04,
         initial=nv.Initial(velocity=(1 + y, 0.0) if dim == 2 else (*SWIRL, 0.0)),
-        discretisation=nv.Discretisation(sharp=True),
+        discretisation=nv.Discretisation(sharp=True, outlines=outlines),
         newton=nv.NewtonOptions(method=solver, tolerance=1e-12),
         observers=[nv.Bodies(measures=["outline"] if dim == 2 else [])],
         scheme="midpoint",
@@ -380,6 +380,7 @@ CASES |= {
     "split channel": lambda: channel("split"),
     "split channel, two levels": lambda: channel("split", newton=TWO_LEVELS),
     "split apart in space": lambda: apart("split", 3),
+    "split outlined": lambda: apart("split", outlines=True),
     "split crystal": lambda: crystal("split"),
     "split crystal, delta": lambda: crystal("split", DELTA),
     "creep": creep,

@@ -87,7 +87,7 @@ GROUPS = {
     "split, two levels; split, Newton-Krylov; split, all regularisations; split own tableau; "
     "split relaxation; split block; split turned; split slip disc, two levels; split window; split network; "
     "split revolved; split solute",
-    "apart": "apart; split apart; split apart in space",
+    "apart": "apart; split apart; split apart in space; split outlined",
     "networks and a solute": "network; split network; solute; split solute",
     "coupled": "carried; carried in space; Yosida; observed; parameters; heated; bodies; observed block; "
     "swirl; midpoint; sdirk2; adaptive; block; disc; lid; window; creep; limited",
@@ -112,7 +112,7 @@ ACTS = {
     **dict.fromkeys(("own term", "split own term"), "dissipation_drag"),
     **dict.fromkeys(("solute", "split solute"), "dissipation_diffusion_c"),
     **dict.fromkeys(("network", "split network"), "dissipation_creep_hard"),
-    **dict.fromkeys(("apart", "split apart", "split apart in space"), "dissipation_creep"),
+    **dict.fromkeys(("apart", "split apart", "split apart in space", "split outlined"), "dissipation_creep"),
     "cut-off, 3D, split": "cutoff_volume",
 }
 """Column of the last row that shows the mechanism of a case."""

@@ -85,7 +85,7 @@ def test_checkpoint_without_the_passive_fields_is_refused(tmp_path):
 def test_a_passive_field_that_is_not_solved_leaves_the_step_alone(monkeypatch):
     """States and steps are those without the field, and a column counts the components without a
     solution."""
-    monkeypatch.setattr("ngvisco.run.passive.ITERATIONS", 1)
+    monkeypatch.setattr("ngvisco.forms.carrier.ITERATIONS", 1)
     run, without = simulation(), simulation(passive=())
     with pytest.warns(nv.InputWarning, match="passive fields .* were not solved in 1 iterations"):
         ledger = run.run(0.04)
