@@ -114,4 +114,4 @@ def _triangles(values: np.ndarray) -> np.ndarray:
     components)."""
     a, b, c, d = values[:, :-1, :-1], values[:, 1:, :-1], values[:, 1:, 1:], values[:, :-1, 1:]
     both = np.stack([np.stack([a, b, c], axis=3), np.stack([a, c, d], axis=3)], axis=3)
-    return both.reshape(len(values), -1, 3, values.shape[-1])
+    return both.reshape(len(values), 2 * _PIECES**2, 3, values.shape[-1])

@@ -64,8 +64,9 @@ def _distances(points: np.ndarray, outline: np.ndarray) -> np.ndarray:
     """Distance of points, (points, 2), from the pieces of the outline."""
     from scipy.spatial import cKDTree  # takes a tenth of a second to import
 
-    _, near = cKDTree(outline.mean(axis=1)).query(points, k=min(_NEAREST, len(outline)))
-    begin, end = np.moveaxis(outline[near.reshape(len(points), -1)], 2, 0)
+    count = min(_NEAREST, len(outline))
+    _, near = cKDTree(outline.mean(axis=1)).query(points, k=count)
+    begin, end = np.moveaxis(outline[near.reshape(len(points), count)], 2, 0)
     along, away = end - begin, points[:, None] - begin
     squares = np.maximum((along**2).sum(axis=2), np.finfo(float).tiny)
     share = np.clip((along * away).sum(axis=2) / squares, 0.0, 1.0)[:, :, None]
