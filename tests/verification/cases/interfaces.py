@@ -24,6 +24,7 @@ from ngvisco.forms.distances import Distances
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.points import csr
 from ngvisco.forms.mesh.quadrature import Sampler
+from ngvisco.forms.sharpening import Sharpening
 from ngvisco.forms.start.initial import set_initial
 from ngvisco.forms.system import Step
 from ngvisco.forms.terms.transport import Kinematics, Trace, Upwinding
@@ -89,7 +90,8 @@ def carried(test: Test, mesh: Mesh, m: int, carrier: Carrier) -> tuple[float, fl
     sharpening, distances = bounds.sharpening, Distances(step)
     if sharpening is not None and has_outlines:
         sharpening.follow(distances)
-    followers = [distances] if sharpening is None else [distances, sharpening]
+    followers: list[Distances | Sharpening] = [distances]
+    followers += [] if sharpening is None else [sharpening]
 
     def at_middle() -> None:
         for follower in followers:
