@@ -145,7 +145,8 @@ class PassiveFields:
             names = ", ".join(sorted(self._unsolved))
             message = (
                 f"the passive fields {names} were not solved in {transport.ITERATIONS} iterations. The step "
-                "itself is solved, and the ledger's column passive_unsolved counts such fields; take smaller steps"
+                "itself is solved, and the ledger's column passive_unsolved counts such fields; take smaller "
+                "steps"
             )
             Communicator.of(self.step.mesh).warn(message, InputWarning, stacklevel=2)
 
