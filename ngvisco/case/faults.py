@@ -65,7 +65,7 @@ _WORDS = {
     "dict_type": "expected a table",
     "model_type": "expected a table",
     "model_attributes_type": "expected a table",
-    "too_short": "expected at least one name; without this key, all names are taken",
+    "too_short": "expected at least one name; without this key, the default names are taken",
     "literal_error": "expected {expected}",
 }
 """Messages that replace those of pydantic, by the type of its error."""

@@ -367,7 +367,8 @@ def load(directory: str | os.PathLike[str], step: int | None = None) -> Results:
     case = place.case()
     if not place.run_file.exists():
         raise CheckpointError(
-            f"{place.path}: run.h5 is missing, since the run ended before its first state was written"
+            f"{place.path}: run.h5 is missing, since the run has not written its first state, or the file "
+            "was moved away"
         )
     simulation = case.simulation(place.present_mesh())
     simulation.restore(place.run_file, step, attributes={"case": case.hash})

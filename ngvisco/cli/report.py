@@ -91,7 +91,7 @@ def check(options: argparse.Namespace) -> int:
 def _say_scales(sizes: Scales) -> None:
     """Print scales, dimensionless numbers and advice after the steps taken so far."""
     fast, slow = sizes.speeds
-    speed = f"v {sizes.velocity:.3g} m/s so far" if sizes.velocity > 0 else "v unknown until the body moves"
+    speed = f"v {sizes.velocity:.3g} m/s so far" if sizes.velocity > 0 else "v unknown until matter moves"
     edges = f"L {sizes.length:.3g} m"
     if sizes.extent > sizes.length * (1 + 1e-6):
         edges = f"domain {sizes.length:.3g} to {sizes.extent:.3g} m"

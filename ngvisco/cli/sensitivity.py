@@ -56,7 +56,7 @@ def gradient(options: argparse.Namespace) -> int:
     shutil.rmtree(out / RESTART)
     streams.write(f"{result}\nAll numbers are in SI units.\n")
     if result.limited:
-        limited = f"the limiter changed the state of a cell {result.limited} times"
+        limited = f"the limiter changed the state of a cell {result.limited} time{'s' * (result.limited > 1)}"
         streams.write(f"{limited}; the derivatives treat these changes as constant\n")
     streams.write(f"{out / 'gradient.csv'}\n")
     return code

@@ -223,8 +223,8 @@ class Scales:
             lines.append(
                 "bodies of so different densities have different bulk energies, so that steps need many "
                 "iterations, or are divided. If the bulk energies do not matter, give all bodies one, e.g. a "
-                "medium of ReferentialNeoHookean bodies "
-                'kind = "Custom" with energy = "K_e/2*(J - 1)*(J - 1)/J"'
+                'medium around bodies of ReferentialNeoHookean the kind "Custom" with '
+                'energy = "K_e/2*(J - 1)*(J - 1)/J"'
             )
         if self.overstress > _ABOVE_YIELD:
             lines.append(

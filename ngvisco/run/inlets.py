@@ -120,7 +120,10 @@ class Inlets:
             elif name in self._compared and self._entered[name] > _FILLED * row["mass"]:
                 difference, size = self._difference(name)
                 if difference > max(_DIFFERS * size, self._rounding):
-                    meeting = f"the deviators differ by {difference:.3g} Pa, of {size:.3g} Pa at the wall"
+                    meeting = (
+                        f"the deviators of the two stresses differ by {difference:.3g} Pa, while the "
+                        f"stresses at the wall have the size {size:.3g} Pa"
+                    )
             if meeting:
                 return (
                     f"at t = {row['time']:.4g} s the inflow through {name!r} with the given "

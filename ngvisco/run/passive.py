@@ -144,9 +144,9 @@ class PassiveFields:
             self._has_warned = True
             names = ", ".join(sorted(self._unsolved))
             message = (
-                f"the passive fields {names} were not solved in {transport.ITERATIONS} iterations. The step "
-                "itself is solved, and the ledger's column passive_unsolved counts such fields; take smaller "
-                "steps"
+                f"no solution was found in {transport.ITERATIONS} iterations for the components {names} of "
+                "passive fields. The step itself is solved, and the ledger's column passive_unsolved counts "
+                "such components; take smaller steps"
             )
             Communicator.of(self.step.mesh).warn(message, InputWarning, stacklevel=2)
 

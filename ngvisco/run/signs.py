@@ -35,6 +35,7 @@ _MISSED = 0.01
 """Share of the total dissipation by which the projection of conjugates may lower a column."""
 _OF_CREEP, _OF_VISCOSITY = "dissipation_creep", "dissipation_stokes"
 """Columns of creep, whose power is checked at points for each body and branch, and of viscosity."""
+_BY_UPWINDING = PRODUCTION + UPWINDING.removeprefix("dissipation_")
 _WALLS_EVERY = 10
 """Number of steps between checks of single facets of walls."""
 
@@ -140,16 +141,18 @@ class Signs:
                 self._say(name, f"{least:.3g} W on the facet of a cell", time)
 
     def _say(self, name: str, power: str, time: float) -> None:
-        cause = "a law has the wrong sign there"
-        if name == UPWINDING and self._step.layout.states.strains.all():
-            cause = "the cells are too large for jumping variables, or the energy is not convex"
-        elif name == UPWINDING:
-            cause = "a carried modulus jumps, and the energy is not convex in the modulus"
+        cause = self._of_upwinding() if name == UPWINDING else "a law has the wrong sign there"
         message = (
             f"at t = {time:.4g} s {name} is negative ({power}) and produces energy, although the ledger "
             f"closes; the cause is that {cause}"
         )
         self._warn(message, DissipationWarning)
+
+    def _of_upwinding(self) -> str:
+        """The reason why upwinding produces energy."""
+        if self._step.layout.states.strains.all():
+            return "the cells are too large for jumping variables, or the energy is not convex"
+        return "a carried modulus jumps, and the energy is not convex in the modulus"
 
     def _check_entropy(self, row: Mapping[str, float]) -> None:
         productions = {name: row[name] for name in self._productions}
@@ -158,13 +161,16 @@ class Signs:
         rate = (abs(row.get("entropy", 0.0)) + self._capacity) / row["dt"]
         share, rounding = _NEGATIVE, _ROUNDING * rate
         # production by upwinding is >= 0 up to an error of projection
-        if least == PRODUCTION + UPWINDING.removeprefix("dissipation_"):
+        if least == _BY_UPWINDING:
             share, rounding = _MISSED, _NEGATIVE * rate
         if productions and productions[least] < -share * sum(map(abs, productions.values())) - rounding:
+            causes = {
+                PRODUCTION + "conduction": "the cells are too large for the slopes of the temperature",
+                _BY_UPWINDING: self._of_upwinding(),
+            }
             message = (
-                f"at t = {row['time']:.4g} s {least} is {productions[least]:.3g} W/K. The "
-                "cause of a negative production by conduction is that cells are too large for the slopes of "
-                "the temperature; for any other mechanism the cause is that its law produces energy"
+                f"at t = {row['time']:.4g} s {least} is {productions[least]:.3g} W/K; the cause is that "
+                f"{causes.get(least, 'its law produces energy')}"
             )
             self._warn(message, EntropyWarning)
 

@@ -104,7 +104,7 @@ class RunState:
 
     @t.setter
     def t(self, value: float) -> None:
-        expected = "no assignment, since only advance(), run() and restore() set the time"
+        expected = "no assignment, since advance(), run(), restore() and nv.transfer set the time"
         raise ParameterError("Simulation.t", value, expected)
 
     @property

@@ -23,7 +23,7 @@ from ngvisco.run.simulation import Simulation
 
 _TABLES = (Probes, Integrals, WallForces, Bodies)
 _RATES = ("dissipation", "power", "production", "flux")
-_COUNT, _ROUNDING = "this column counts events", "this column measures rounding"
+_COUNT, _ROUNDING = "this column is a count", "this column measures rounding"
 _FROZEN = "derivatives treat the limiter's changes as constant"
 _OF_LENGTH = "derivatives treat the lengths of steps as constant"
 _REFUSED = {

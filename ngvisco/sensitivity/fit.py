@@ -253,8 +253,11 @@ class _Search:
             self.of |= {f"{name} {i}": f"{column} {kind} {t!r}" for i, t in enumerate(times.tolist())}
         count = len(self.of)
         if count < len(parameters) + self.is_estimated:
-            needed = f"at least {len(parameters) + self.is_estimated}"
-            raise DataError(f"there are {count} values for {len(parameters)} parameters; expected {needed}")
+            least = len(parameters) + self.is_estimated
+            raise DataError(
+                f"the number of values is {count}, and the number of parameters is {len(parameters)}; "
+                f"expected at least {least} values"
+            )
         for name in bounds:
             if name not in [p.name for p in parameters]:
                 raise ParameterError("bounds", name, f"one of {', '.join(p.name for p in parameters)}")

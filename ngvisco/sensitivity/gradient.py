@@ -92,7 +92,10 @@ class Gradient:
         block = blocks.get(name, "z")
         variable = next((v for v in self.simulation.model.material.variables if v.name == name), None)
         if isinstance(variable, Parameter) and variable.mean != "arithmetic":
-            expected = "a parameter that the matter carries, such as nv.Parameter(..., mean='arithmetic')"
+            expected = (
+                "a parameter whose value itself is carried, and no function of the value, such as "
+                "nv.Parameter(..., mean='arithmetic')"
+            )
             raise ParameterError("Gradient.density", name, expected)
         result = GridFunction(layout.scalar_space(block))
         begin = layout.ranges[block].start + (scalars[name].start * len(result.vec) if name in scalars else 0)

@@ -143,7 +143,7 @@ def _connected_parts(path: str | os.PathLike[str], corners: np.ndarray, size: fl
     if open_edges:
         expected = (
             f"a file of a closed surface, but {open_edges} of {len(sense)} edges have triangles on one side "
-            "only"
+            "only, or triangles that run along the edge in the same sense"
         )
         raise ParameterError("ClosedSurface.path", path, expected)
     owner = np.tile(np.flatnonzero(whole), 3)

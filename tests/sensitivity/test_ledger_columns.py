@@ -170,7 +170,7 @@ def test_without_one_of_the_states_the_slope_of_a_distance_is_wrong(monkeypatch)
 @pytest.mark.parametrize(
     ("column", "said"),
     [
-        ("newton_iterations", "this column counts"),
+        ("newton_iterations", "this column is a count"),
         ("closure", "this column measures rounding"),
         ("limiter", "treat the limiter's changes as constant"),
         ("dt", "treat the lengths of steps as constant"),
