@@ -253,11 +253,8 @@ class _Search:
             self.of |= {f"{name} {i}": f"{column} {kind} {t!r}" for i, t in enumerate(times.tolist())}
         count = len(self.of)
         if count < len(parameters) + self.is_estimated:
-            least = len(parameters) + self.is_estimated
-            raise DataError(
-                f"the number of values is {count}, and the number of parameters is {len(parameters)}; "
-                f"expected at least {least} values"
-            )
+            names, least = ", ".join(p.name for p in parameters), len(parameters) + self.is_estimated
+            raise DataError(f"the number of values is {count}; expected at least {least} to fit {names}")
         for name in bounds:
             if name not in [p.name for p in parameters]:
                 raise ParameterError("bounds", name, f"one of {', '.join(p.name for p in parameters)}")
