@@ -96,7 +96,7 @@ class Violation:
 
     def __str__(self) -> str:
         least = "least mean of a cell" if self.is_mean else "least value"
-        further = f"; {self.cells - 1} other cells are out of bounds too" if self.cells > 1 else ""
+        further = f"; cells out of bounds: {self.cells}" if self.cells > 1 else ""
         return f"{self.quantity} is not positive (the {least} is {self.value:.3e}, {self.where}{further})"
 
 
@@ -250,8 +250,8 @@ class Bounds:
                 worst = self._ranks.most(means)
                 where = self.sampler.place_of_cells(far[np.argsort(-means[far], kind="stable")])
                 self.parted = (
-                    f"the means of {pair} differ by {worst:.0%} {where}; more than {self.most:.0%} is "
-                    "refused, since the stress has the same relative error"
+                    f"the volume ratios from {pair} differ by {worst:.0%} in the mean {where}; more than "
+                    f"{self.most:.0%} is refused, since the stress has the same relative error"
                 )
                 return self.parted
         return None

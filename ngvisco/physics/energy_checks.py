@@ -146,7 +146,7 @@ def _of_state(
     if read:
         raise refusal(f"a function of {names} alone, {but} reads {read[0]}")
     if not one_value(sampled(phi)):
-        raise refusal(f"a function of {names} alone, {but} has several values at one state")
+        raise refusal(f"a function of {names} alone, {but} differs from place to place at one state")
     return phi, [abs(part) for value in z.values() for part in np.ravel(sampled(phi.Diff(value)))]
 
 

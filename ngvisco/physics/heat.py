@@ -96,9 +96,10 @@ class Heat:
             object.__setattr__(self, "conductivity", number)
         elif callable(conductivity) and not isinstance(conductivity, CoefficientFunction):
             values = np.array([conductivity(np.float64(theta)) for theta in _TEMPERATURES])
-            if not (np.isfinite(values).all() and (values >= 0).all()):
-                worst = float(np.nanmin(values)) if np.isfinite(values).any() else values[0]
-                given = f"a function with the value {worst:.4g}"
+            refused = ~(np.isfinite(values) & (values >= 0))
+            if refused.any():
+                at = int(np.argmax(refused))
+                given = f"a function with the value {values[at]:.4g} at {_TEMPERATURES[at]:g} K"
                 raise ParameterError(owner, given, "a function of the temperature with finite values >= 0")
         else:
             object.__setattr__(self, "conductivity", _matrix(owner, conductivity))

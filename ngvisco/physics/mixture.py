@@ -126,7 +126,7 @@ class Mixture(Material):
             psi.require()
             softest = min(self.stiffnesses.values())
             if body.parts and not (psi.tensors and 0 < softest < (1 - _SAME) * self.stiffnesses[body.name]):
-                expected = " for a fluid, and for the most compressible body"
+                expected = " for a fluid, and for a body if no other body is more compressible"
                 raise ParameterError(f"bodies[{body.name!r}].parts", True, False, expected)
             if psi.reads_parameters_in_volume and not self.has_one_volume:
                 expected = "a material whose bulk modulus is a number, or bodies with one volumetric energy"

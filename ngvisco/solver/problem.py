@@ -135,9 +135,8 @@ def unconverged(
 ) -> Solution:
     """The ``Solution`` of a failed attempt, whose increments stayed above ``tolerance``."""
     last = history[-1].increment if history else np.inf
-    ended = (
-        f"{status.value}; after {len(history)} iterations the increment is {last:.1e}, above {tolerance:.0e}"
-    )
+    iterations = f"{len(history)} iteration{'s' * (len(history) != 1)}"
+    ended = f"{status.value}; after {iterations} the increment is {last:.1e}, the tolerance {tolerance:.0e}"
     advice = "shorter steps have a larger rounding error" if status is Status.ROUNDING else f"take {remedy}"
     return Solution(status, tuple(history), f"{solver} did not converge ({ended}); {advice}")
 

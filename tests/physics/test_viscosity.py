@@ -170,8 +170,8 @@ class Odd(nv.StokesViscosity):
     ("make", "words"),
     [
         (lambda: model(LAWS["activated"]), "ActivatedViscosity.temperature.*nv.Thermal"),
-        (lambda: model(Odd(K_v=1, G_v=1)), r"Odd.stress.*D\(eps\) : eps >= 0"),
-        (lambda: model(Odd(K_v=1, G_v=1, falls=True)), "Odd.stress.*rises"),
+        (lambda: model(Odd(K_v=1, G_v=1)), r"Odd.stress.*D\(eps\) : eps/\|eps\| >= 0"),
+        (lambda: model(Odd(K_v=1, G_v=1, falls=True)), "Odd.stress = -.*a rise >= 0 of the stress along eps"),
         (lambda: model(nv.Carreau(K_v=1, G_0=1, G_inf=20, relaxation=1, n=4)), "Carreau.stress"),
     ],
 )

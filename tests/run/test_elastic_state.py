@@ -65,7 +65,7 @@ def test_names_of_variables_of_one_form_choose_this_form():
     ):
         wrapped = nv.WithQuadratic(material=inner, delta=0.1, only=names)
         assert nv.Model(material=wrapped, creep=creep).material.material.material.elastic_state == state
-    with pytest.raises(nv.ParameterError, match="either only variables with F"):
+    with pytest.raises(nv.ParameterError, match="among F, H, J only or names among B, J, N only"):
         nv.WithQuadratic(material=inner, delta=0.1, only=("F", "B"))
     with pytest.raises(nv.UnknownNameError, match="'B'"):
         nv.WithQuadratic(material=TWO_FORMED["NeoHookean"](elastic_state="F"), delta=0.1, only=("B",))

@@ -58,7 +58,7 @@ class Hyperviscosity(PointTerm):
                 None,
                 " with ",
                 call("Discretisation", k=1),
-                ", since the velocity is then linear in cells; a hyperviscosity needs k = 2",
+                ", since the velocity is then linear in cells; a hyperviscosity needs k = 2 or 3",
             )
             raise ParameterError("Model.hyperviscosity", self.law, *expected)
         tensors = dim * hessian_basis(dim).shape[1]

@@ -82,11 +82,11 @@ def check_viscosity(law: Viscosity, material: Material) -> None:
             tested,
             power,
             sizes,
-            "a power D(eps) : eps >= 0",
+            "a stress with D(eps) : eps/|eps| >= 0",
             "eps",
         )
         falls = risen - power < -_ROUNDING * large
-        expected = "a power that rises with eps, as a convex potential requires"
+        expected = "a rise >= 0 of the stress along eps from eps to 1.001 eps, as a convex potential requires"
         _refuse(f"{name}.stress", falls, tested, risen - power, sizes, expected, "eps")
 
 

@@ -290,8 +290,8 @@ class ReferenceEnergy(Material):
         coupled = abs(hessian[:, volume] * tensors).max(initial=0.0)
         if not len(hessian) or not coupled <= _ROUNDING * abs(hessian).max():
             expected: str = Words(
-                "a material with an energy f(B) + U(J) per reference volume, since other energies are not "
-                "convex per reference volume; IsochoricNeoHookean, ReferentialNeoHookean, "
+                "a material with an energy f(B) + U(J) per reference volume, since an energy per actual "
+                "volume is not convex per reference volume; IsochoricNeoHookean, ReferentialNeoHookean, "
                 "ReferentialMooneyRivlin, ",
                 call("PerReferentialVolume", material=...),
                 ' with elastic_state = "B" have such an energy',

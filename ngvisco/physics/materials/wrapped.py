@@ -12,7 +12,7 @@ from typing import Annotated
 import numpy as np
 from ngsolve import CF
 
-from ngvisco.errors import NgviscoError, ParameterError, Quantity, UnknownNameError
+from ngvisco.errors import NgviscoError, ParameterError, Quantity, UnknownNameError, listed
 from ngvisco.physics.flow_rules.rule import Hardening, PlasticContent
 from ngvisco.physics.material import Material, Wrapper
 from ngvisco.physics.parameters import Parameter, distinct, substituted
@@ -117,7 +117,9 @@ class WithQuadratic(Wrapper):
         having = [form for form, names in zip(forms, strains, strict=True) if named <= names]
         if not having:
             raise ParameterError(
-                "WithQuadratic.only", self.only, "either only variables with F, or only variables with B"
+                "WithQuadratic.only",
+                self.only,
+                " or ".join(f"names among {listed(sorted(names))} only" for names in strains),
             )
         if len(having) == 1:  # names of variables that only one form has choose this form
             object.__setattr__(self, "material", having[0])
