@@ -153,17 +153,23 @@ class RunDirectory:
         rows = len(table.read_text(encoding="utf-8").splitlines()) if table.exists() else 0
         if rows > 2 and not self.run_file.exists():  # the head, and the row of the start
             raise RunDirectoryError(
-                f"{self.run_file}: this file is missing, although ledger.csv has {rows - 2} steps; put the "
-                "file back, or compute the case from its start into another directory: ngvisco run "
-                f"{self.case_file} -o DIR"
+                f"{self.run_file}: this file is missing, although ledger.csv has {rows - 2} "
+                f"step{'s' * (rows > 3)}; put the file back, or compute the case from its start into another "
+                f"directory: ngvisco run {self.case_file} -o DIR"
             )
 
     def case(self) -> Case:
         """The resolved case; raises RunDirectoryError or CaseError."""
         if not self.case_file.exists():
-            is_there = self.path.exists()
-            missing = "is not a run directory, since case.toml is missing" if is_there else "does not exist"
-            raise RunDirectoryError(f"{self.path}: this directory {missing}")
+            if self.path.is_dir():
+                what = "this directory is not a run directory, since case.toml is missing"
+            else:
+                what = (
+                    "this is a file, not a run directory"
+                    if self.path.exists()
+                    else "this directory does not exist"
+                )
+            raise RunDirectoryError(f"{self.path}: {what}")
         return load_case(self.case_file)
 
     def mesh(self) -> Mesh:

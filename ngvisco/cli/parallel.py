@@ -30,7 +30,9 @@ def info(options: argparse.Namespace) -> int:
     if ranks.is_first:
         streams.write("\n".join(lines) + "\n")
         if not (complete and ranks.is_distributed):
-            streams.write("not tried  a package is missing; ngvisco/parallel/RANKS.md says what to install\n")
+            streams.write(
+                "not tried  a package or mpirun is missing; ngvisco/parallel/RANKS.md says what to install\n"
+            )
     return _tried(ranks) if complete and ranks.is_distributed else FAILED
 
 

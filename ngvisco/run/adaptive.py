@@ -50,7 +50,7 @@ class AdaptiveSteps:
     Parameters
     ----------
     dt_min : float
-        Shortest step; a run that needs a shorter step ends, unless a shorter step ends at an output time.
+        Shortest step, except for steps that end at an output time; a run that needs a shorter step ends.
     dt_max : float
         Longest step.
     tolerance : float, optional

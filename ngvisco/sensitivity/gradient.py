@@ -252,6 +252,7 @@ def _base(simulation: Simulation, names: Sequence[str]) -> Follower:
 def _parameters(by: Sequence[str], simulation: Simulation, method: str) -> list[Named]:
     names = require_collection("by", by, 'names of parameters, e.g. ["material.G_e"]')
     if not (names or method == "adjoint") or len(set(names)) < len(names):
-        raise ParameterError("by", by, "at least one parameter, and no parameter twice")
+        least = "" if method == "adjoint" else "at least one parameter, and "
+        raise ParameterError("by", by, f"{least}no parameter twice")
     step = AT_FIXED_STATES if method == "adjoint" else STEP
     return [Named.of(name, simulation, step) for name in names]

@@ -43,6 +43,10 @@ def test_what_is_no_run_directory_is_refused(tmp_path):
         with pytest.raises(nv.RunDirectoryError, match="not a run directory"):
             act(tmp_path)
     assert not list(tmp_path.iterdir())
+    file = tmp_path / "run.h5"
+    file.touch()
+    with pytest.raises(nv.RunDirectoryError, match=r"run\.h5: this is a file, not a run directory"):
+        nv.load(file)
 
 
 def test_a_first_step_without_solution_leaves_only_its_report(tmp_path, monkeypatch):
