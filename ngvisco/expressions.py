@@ -291,7 +291,7 @@ class Evaluator:
 
     def _call(self, node: ast.Call) -> Any:
         if not isinstance(node.func, ast.Name):
-            raise self._error(node, "only the listed functions can be called")
+            raise self._error(node, "a function is called by its name alone, as in sqrt(x)")
         name = node.func.id
         if node.keywords or any(isinstance(argument, ast.Starred) for argument in node.args):
             raise self._error(node, f"{name} takes only arguments in order, without names or *")

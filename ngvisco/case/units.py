@@ -84,7 +84,8 @@ def _require_small_powers(unit: str) -> None:
     are_plain = len(powers) == len(re.findall(r"\*\*|\^", unit)) and not _CHAIN.search(unit)
     if not are_plain or math.prod(max(abs(float(power)), 1.0) for power in powers) > _LARGEST_POWER:
         raise UnitError(
-            f"{unit!r:.60} is not a unit: exponents have to be small numbers such as 2, -1, 0.5 or (1/2)"
+            f"{unit!r:.60} is not a unit: a power has a unit as base, and a small number such as 2, -1, "
+            "0.5 or (1/2) as exponent"
         )
 
 

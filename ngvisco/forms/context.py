@@ -160,8 +160,8 @@ class Context:
         self._has_warned = True
         Communicator.of(self.mesh).warn(
             f"the mean of {name} over the step from t = {self.loads_window[0]:g} s has an error of "
-            f"{error:.0e} of the largest value, since the values change too often in the step, or at "
-            "different times at different places; take shorter steps",
+            f"{error:.0e} relative to the largest value, since the values change too often in the step, or "
+            "change at other times in other places; take shorter steps",
             InputWarning,
             stacklevel=2,
         )

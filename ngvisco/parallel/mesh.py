@@ -9,7 +9,7 @@ from ngvisco.errors import MeshError
 from ngvisco.parallel.communicator import Communicator
 
 CURVED = (
-    "curved cells are distributed with their geometry, but the geometry of these cells is unknown; "
+    "curved cells are distributed over ranks only if their geometry is known, but this mesh has none; "
     "expected a mesh of a Netgen geometry, or straight cells, or one process"
 )
 _SHAPE = 1e-10
@@ -186,7 +186,10 @@ def _check(mesh: Mesh | None, parts: int) -> None:
             "expected two or more cells along each periodic direction, or one process"
         )
     if mesh.ne < parts:
-        raise MeshError(f"the mesh has {mesh.ne} cells for {parts} ranks with cells; expected fewer ranks")
+        raise MeshError(
+            f"the mesh has {mesh.ne} cells, but {parts} ranks need at least one cell each; expected fewer "
+            "ranks"
+        )
 
 
 def _images_of_facets(mesh: Mesh) -> int:

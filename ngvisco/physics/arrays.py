@@ -186,7 +186,7 @@ class Array(_Node):
 
     def __pow__(self, exponent: float) -> Array:
         if not self.is_scalar or not isinstance(exponent, (int, float)):
-            raise TypeError("only scalars have powers, with numbers as exponents")
+            raise TypeError("a power needs a scalar as base and a number as exponent")
         if exponent < 1:  # at zero a power with this exponent has a value, but no derivative
             return Array(
                 self.value ** float(exponent),

@@ -72,5 +72,6 @@ class Diffusion:
         conserved = [v.name for v in material.variables if v.kind == "scalar" and v.is_conserved]
         if self.variable not in conserved:
             owner, carried = type(material).__name__, ", ".join(v.name for v in material.variables)
-            expected = f"a conserved scalar of the material, one of {conserved}; {owner} carries {carried}"
+            those = f"one of {', '.join(conserved)}" if conserved else f"but {owner} has none"
+            expected = f"a conserved scalar of the material, {those}; {owner} carries {carried}"
             raise ParameterError("Diffusion.variable", self.variable, expected)

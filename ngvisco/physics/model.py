@@ -351,7 +351,7 @@ def _faults(body: Body, bodies: Sequence[Body]) -> Iterable[tuple[str, str]]:
     if len(units) > 1:
         yield (
             "material",
-            f"one entropy_unit for all bodies, not {sorted(units)}, since bodies share one entropy",
+            f"materials with one entropy_unit, not {sorted(units)}, since bodies share one entropy",
         )
     if heat is not None and not warm:
         yield "heat", NO_TEMPERATURE
@@ -359,11 +359,14 @@ def _faults(body: Body, bodies: Sequence[Body]) -> Iterable[tuple[str, str]]:
         together = Words(False, ", since the scheme heats all bodies together; see ", Mention("Model.heat"))
         yield "heat.numerical_heating", together
     if getattr(material, "J_min", None) is not None:
-        yield "material", "no J_min, since the continued energy is not convex per reference volume"
+        yield (
+            "material",
+            "a material without J_min, since the continued energy is not convex per reference volume",
+        )
     for branch, rule in body.rules.items():
         key = "creep" if branch is None else "material"
         if rule.nu:
-            yield key, "nu = 0, since the creep of several bodies has no gradient term"
+            yield key, "flow rules with nu = 0, since the creep of several bodies has no gradient term"
         if rule.reads_conjugate or rule.has_trace:
             yield key, "a flow rule that reads no conformation tensor, since bodies have no such tensor"
 

@@ -150,7 +150,8 @@ def _rows_at_points(step: Step, term: PointTerm) -> TermRows:
         raise _refused(term, reason) from error
     names = in_cells(step.layout)
     if unknown := set(rows.names) - {*names, *(f"grad {name}" for name in names)}:
-        raise _refused(term, f"rows of {', '.join(sorted(unknown))} have no arrays; declare couples = 'flow'")
+        rows_of = f"the rows of {', '.join(sorted(unknown))}"
+        raise _refused(term, f"{rows_of} are evaluated only by the term's form; declare couples = 'flow'")
     return rows
 
 

@@ -150,8 +150,8 @@ def _require_dissipation(term: PointTerm, u: Fields) -> None:
 
 
 _DISSIPATED = (
-    "dissipated_on_facets(u) cannot be evaluated with arrays; expected functions of the values u at a point, "
-    "by the names of the ledger's columns, with operations that arrays have"
+    "dissipated_on_facets(u) cannot be evaluated with arrays; it has to return functions of u by the names "
+    "of ledger columns, and these functions may use only operations that arrays have"
 )
 
 

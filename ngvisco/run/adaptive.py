@@ -31,12 +31,14 @@ def growth_message(step: Step, row: Mapping[str, float]) -> str:
     if step.damage is None or row[GROWTH] <= MUCH:
         return ""
     length = step.damage.length
-    unit, symbol, size = ("m", "l", length) if step.mesh.dim == 2 else ("m^2", "l^2", length**2)
+    unit, symbol, size = (
+        ("m", "Damaged.length", length) if step.mesh.dim == 2 else ("m^2", "Damaged.length^2", length**2)
+    )
     return Words(
         f"in the step of {row['dt']:.3g} s to t = {row['time']:.4g} s the damage grew by {row[GROWTH]:.2g} "
-        f"at a point, and cracks by {row[CRACKED]:.3g} {unit} ({row[CRACKED] / size:.2g} {symbol}). The load "
-        "at which the body breaks then depends on the step's length. Take shorter steps while damage grows, "
-        "as with ",
+        f"at a point, and new cracks have {row[CRACKED]:.3g} {unit}, {row[CRACKED] / size:.2g} times "
+        f"{symbol}. The load at which the body breaks then depends on the step's length. Take shorter steps "
+        "while damage grows, as with ",
         call("AdaptiveSteps", damage_growth=0.05),
     )
 

@@ -129,7 +129,7 @@ class Trajectory:
             ),
             (
                 self._lacks_derivatives(),
-                "diffusion and laws of the pressure have no derivative with an energy without an expression",
+                "diffusion and laws of the pressure have a derivative only if the energy is an expression",
             ),
         ):
             if is_refused:

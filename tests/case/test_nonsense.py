@@ -58,7 +58,7 @@ ONE | + [[output.integrals]]; name = "a"; of = "1/(density - density)"
 ONE | + [[output.integrals]]; name = "a"; of = "log(-density)"
   | output.integrals.0.of: 'log(-density)': expected an integrand with a finite integral
 ONE | + J_min = 2.0 | material.J_min: 2.0: expected less than 1, the least J
-TWO | LAW_OF_DISC -> LAW_OF_DISC, J_min = 2.0 | expected no J_min, since the continued energy
+TWO | LAW_OF_DISC -> LAW_OF_DISC, J_min = 2.0 | expected a material without J_min, since the continued energy
 ONE | density = 1 -> density = "1+t" | initial.density: '1+t': expected a function of the place alone
 ONE | density = 1 -> velocity = ["t*y", 0]
   | initial.velocity: ['t*y', 0]: expected a function of the place alone

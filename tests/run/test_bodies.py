@@ -226,7 +226,7 @@ class SharesOnly:
         (lambda: [disc(material=BY_F), rest()], r"bodies\['disc'\].material.*elastic_state"),
         (lambda: [disc(material=VARIED), rest()], "a material whose bulk modulus is a number"),
         (lambda: [disc(material=nv.Yosida(material=SOLID, eps=0.01)), rest()], "Yosida approximation"),
-        (lambda: [disc(material=BY_J_MIN), rest()], "no J_min, since the continued energy"),
+        (lambda: [disc(material=BY_J_MIN), rest()], "a material without J_min, since the continued energy"),
         (lambda: [disc(material=HOT_BREAKS), rest()], r"bodies\['disc'\].material.*does not give the damage"),
         (lambda: [disc(material=QUADRATIC), rest()], r"bodies\['disc'\].material.*per reference volume"),
         (lambda: [disc(creep=nv.Creep(G_m=1.0, nu=0.1)), rest()], "nu = 0, since the creep .* gradient"),

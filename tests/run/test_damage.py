@@ -221,7 +221,10 @@ def test_crack_that_is_stretched_keeps_its_energy_per_reference_area():
 def test_growth_in_a_step_is_a_column_and_much_of_it_is_warned_of():
     """For a homogeneous damage, the area of cracks made in the steps is the stored area."""
     run = sheared("AT2")
-    with pytest.warns(nv.DamageWarning, match=r"damage grew by 0\.\d+ at a point, and cracks by .* l\). The"):
+    with pytest.warns(
+        nv.DamageWarning,
+        match=r"damage grew by 0\.\d+ at a point, and new cracks have .* times Damaged.length. The",
+    ):
         ledger = run.run(0.3)
     d = [exact("AT2", RATE * t, 0.1, 1.0)[0] for t in ledger.column("time")]
     assert ledger.column("damage_growth")[1:] == pytest.approx(np.diff(d), rel=1e-9)

@@ -167,11 +167,11 @@ def require_curved_cells(mesh: Mesh, walls: Mapping[str, Region]) -> None:
     for name, region in walls.items():
         if angle := bend(mesh, region):
             message = (
-                f"wall {name!r} is bent by {np.rad2deg(angle):.3g} degrees between straight facets, as a "
+                f"wall {name!r} is bent by {np.rad2deg(angle):.3g} degrees between straight facets, like a "
                 "polygon that approximates a curved wall. On such a wall v.n = 0 acts as no slip, however "
                 "fine the mesh is. Expected curved cells: call mesh.Curve(order) on a mesh that has its "
-                "geometry, as the functions of geometries do. If the wall is really a polyhedron, give each "
-                "plane a name, or give the wall "
+                "geometry, as the functions of ngvisco.geometries do. If the wall is really a polyhedron, "
+                "give each plane a name, or give the wall "
             )
             raise MeshError(Words(message, call("Slip", straight=True)))
 

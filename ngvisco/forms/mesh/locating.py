@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from ngsolve import BND, VOL, CoefficientFunction, Mesh
 
-from ngvisco.errors import ParameterError
+from ngvisco.errors import MeshError, ParameterError
 from ngvisco.forms.mesh.mesh_arrays import coordinates
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import MeshPart
@@ -59,8 +59,10 @@ class Located:
             self._at = locate(mesh, points, names)
             return
         if not isinstance(mesh, MeshPart):
-            expected = "a whole mesh, since Simulation distributes the mesh over the ranks"
-            raise ParameterError(names[0], "a distributed mesh", expected)
+            raise MeshError(
+                f"{names[0]} cannot be found in a mesh that is already distributed over ranks; expected an "
+                "undistributed mesh, which Simulation distributes"
+            )
         mpi = self.ranks.mpi
         asked, called, cells = mpi.gather(points), mpi.gather(list(names)), mpi.gather(mesh.cells)
         located: list[tuple[np.ndarray, np.ndarray]] = []

@@ -107,17 +107,21 @@ def function_field(mesh: Mesh, function: Callable[..., object], order: int = 2) 
 
 def _as_components(given: object, count: int) -> np.ndarray:
     expected = (
-        f"a function that returns an array of shape ({count},) of finite numbers, or a sequence of such "
-        "arrays"
+        f"a function that returns, for {count} points, an array of {count} finite numbers or a sequence of "
+        "such arrays"
     )
     try:
         values = np.asarray(_broadcast(given, count), dtype=float)
     except (TypeError, ValueError) as error:
         raise ParameterError("function_field.function", given, expected) from error
     if values.ndim not in (1, 2, 3) or values.shape[-1] != count:
-        raise ParameterError("function_field.function", f"shape {values.shape}", expected)
+        raise ParameterError(
+            "function_field.function", f"a function that returns an array of shape {values.shape}", expected
+        )
     if not np.isfinite(values).all():
-        raise ParameterError("function_field.function", "values that are not finite", expected)
+        raise ParameterError(
+            "function_field.function", "a function that returns numbers that are not finite", expected
+        )
     return values
 
 

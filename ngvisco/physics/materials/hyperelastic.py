@@ -251,7 +251,7 @@ class ReferentialNeoHookean(IsotropicElastic):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.K_e == 0 and self.epsilon != 0:
-            expected = "a number > 0 with epsilon, so that the energy has its minimum at J = 1"
+            expected = "a number > 0 if epsilon is not 0, so that the energy has its minimum at J = 1"
             raise ParameterError(f"{type(self).__name__}.K_e", self.K_e, expected)
         require_effect(self, self.epsilon != 0, "with epsilon = 0", "kappa")
 
