@@ -136,8 +136,7 @@ class Model:
         if self.creep is not None and part_of(self.material, Network) is not None:
             raise ParameterError("Model.creep", self.creep, _NO_CREEP)
         if self.creep is not None and self.creep.reads_conjugate and self.material.conformation is None:
-            expected = "a rule that reads no conformation tensor, since the material has none"
-            raise ParameterError("Model.creep", self.creep, expected)
+            raise ParameterError("Model.creep", self.creep, _no_conformation(self.material))
         material = self.material
         if self.bodies or _flows(self.creep, material):
             material = material.with_elastic_state("B")
@@ -162,10 +161,8 @@ class Model:
             _require_bulk(part)
         for mechanism in self.mechanisms:
             if mechanism.rule.reads_conjugate and mechanism.conformation is None:
-                expected = (
-                    f"a rule that reads no conformation tensor, since {type(self.material).__name__} has none"
-                )
-                raise ParameterError(f"branches[{mechanism.branch!r}].creep", mechanism.rule, expected)
+                name, expected = f"branches[{mechanism.branch!r}].creep", _no_conformation(self.material)
+                raise ParameterError(name, mechanism.rule, expected)
             check_rule(mechanism.rule, material)
         if self.viscosity is not None:
             check_viscosity(self.viscosity, material)
@@ -319,6 +316,13 @@ class Model:
 MOST_DENSER = 1e10
 """Ratio of bodies' densities above which the lighter body's momentum in a cell with both bodies is below the
 solver's tolerance, 1e-10."""
+
+
+def _no_conformation(material: Material) -> str:
+    """Expectation in the message about a rule that reads a conformation tensor which the material lacks."""
+    name = type(material).__name__
+    return f"a rule that reads no conformation tensor, since {name} has none; OldroydB and FENEP have one"
+
 
 _NO_CREEP = Words(None, " with a Network, whose branches have flow rules of their own")
 
