@@ -155,7 +155,7 @@ def _checked(name: str, rows: np.ndarray) -> np.ndarray:
         raise ParameterError(name, "a number that is not finite", "finite numbers")
     times = rows[:, 0]
     if (late := np.flatnonzero(np.diff(times) <= 0)).size:
-        instants = f"{times[late[0] + 1]:g} s after {times[late[0]]:g} s"
+        instants = f"a row at {times[late[0] + 1]:g} s after the row at {times[late[0]]:g} s"
         raise ParameterError(f"{name}, times", instants, "times that increase from row to row")
     return rows
 

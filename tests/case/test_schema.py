@@ -73,7 +73,7 @@ CASE | "Gravity" -> "gravity" | case.toml:17: loads.0.kind: 'gravity'
 CASE | 0.1*t -> 0.1*q | case.toml:18: loads.0.g: [0, '-1 + 0.1*q']: unknown name 'q'
 CASE | 0.1*t -> 0.1/0 | the value is not finite (float division by zero), at character 6 of '-1 + 0.1/0'
 CASE | g = [0, -> g = [nan, | loads.0.g: [nan, '-1 + 0.1*t']: expected a finite number
-CASE | "1 + 0.1*x" -> "os.system(1)" | case.toml:21: initial.density: 'os.system(1)': a function is called by its name
+CASE | "1 + 0.1*x" -> "os.system(1)" | case.toml:21: initial.density: 'os.system(1)': a function is called by
 CASE | [initial] -> [intial] | case.toml:20: intial: unknown key; did you mean 'initial'?
 CASE | dt = 0.02 -> dt = 1e-300 | time.dt: 1e-300: expected at least 1e-09 s, since the given length makes
 CASE | dt = 0.02 -> dt = true | case.toml:28: time.dt: true: expected a number
