@@ -191,7 +191,7 @@ def _check_count(field: str, value: float, measure: float, h: float, dim: int, n
     # cell sizes grow with the distance s to a wall: int measure c / (h + 0.3 s)^dim ds
     factor = _CELLS_PER[dim] * measure / (1.0 if n == dim else _GRADING * (dim - 1))
     if not factor <= MAX_CELLS * h**n:
-        least = (factor / MAX_CELLS) ** (1 / n) * unit
+        least = 1.06 * (factor / MAX_CELLS) ** (1 / n) * unit  # two digits are then not less than needed
         count = math.exp(min(math.log(factor) - n * math.log(h), 700))
         raise ParameterError(
             field, value, f"at least {least:.2g} m, since the given size makes about {count:.0e} cells"

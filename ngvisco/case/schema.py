@@ -123,7 +123,7 @@ class Time(TimeSteps):  # type: ignore[misc]
         # adaptive steps grow: dt is the first step's length, and dt_max bounds the number of steps from below
         longest = self.dt if self.adaptive is None else self.adaptive.dt_max
         if self.until / longest > _MAX_STEPS:
-            least = self.until / _MAX_STEPS
+            least = 1.06 * self.until / _MAX_STEPS  # 6 % more, so that two digits are not less than needed
             steps = f"{self.until / longest:.0e} steps to time.until = {self.until:g} s"
             name = "Time.dt" if self.adaptive is None else "Time.adaptive.dt_max"
             raise ParameterError(
@@ -298,8 +298,10 @@ class CaseSections(Section):
         require_names_and_one_rest(self.bodies)
         if (interval := self.output.vtk.interval) is not None:
             if self.time.until / interval > _MAX_OUTPUT_TIMES:
-                least = self.time.until / _MAX_OUTPUT_TIMES
-                expected = f"at least {least:g} s, so that there are at most {_MAX_OUTPUT_TIMES} output times"
+                least = 1.06 * self.time.until / _MAX_OUTPUT_TIMES  # not less than needed in two digits
+                expected = (
+                    f"at least {least:.2g} s, so that there are at most {_MAX_OUTPUT_TIMES} output times"
+                )
                 raise ParameterError("output.vtk.interval", interval, expected)
             self.time.built.stepper().check("output.vtk.interval", interval)
         return self

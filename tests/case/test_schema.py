@@ -1,5 +1,6 @@
 """Case files: every fault is named with its place, value and remedy, and valid cases run."""
 
+import re
 import tomllib
 from pathlib import Path
 
@@ -75,7 +76,7 @@ CASE | 0.1*t -> 0.1/0 | the value is not finite (float division by zero), at cha
 CASE | g = [0, -> g = [nan, | loads.0.g: [nan, '-1 + 0.1*t']: expected a finite number
 CASE | "1 + 0.1*x" -> "os.system(1)" | case.toml:21: initial.density: 'os.system(1)': a function is called by
 CASE | [initial] -> [intial] | case.toml:20: intial: unknown key; did you mean 'initial'?
-CASE | dt = 0.02 -> dt = 1e-300 | time.dt: 1e-300: expected at least 1e-09 s, since the given length makes
+CASE | dt = 0.02 -> dt = 1e-300 | time.dt: 1e-300: expected at least 1.1e-09 s, since the given length makes
 CASE | dt = 0.02 -> dt = true | case.toml:28: time.dt: true: expected a number
 CASE | until = 0.1 -> until = 0.11 | time.until: 0.11: expected a multiple of dt = 0.02
 CASE | until = 0.1 -> until = 0.1; [solver]; max_iterations = 2.5 | expected a whole number
@@ -120,9 +121,20 @@ def test_adaptive_steps_are_counted_by_the_longest_one():
     assert case(CASE, *steps, "time.adaptive.dt_max='1 yr'").until > 9e8
     with pytest.raises(
         CaseError,
-        match=r"time.adaptive.dt_max.*: expected at least 9\.5 s, since the given length makes 9e\+08",
+        match=r"time.adaptive.dt_max.*: expected at least 10 s, since the given length makes 9e\+08",
     ):
         case(CASE, *steps, "time.adaptive.dt_max=1")
+
+
+@pytest.mark.parametrize("until", [1.04, 3.0])
+def test_the_least_length_that_a_refusal_names_is_taken(until):
+    """Rounded to the nearest number it would be refused as well."""
+    steps = [f"time.until={until}", "time.dt=1e-12", "time.adaptive.dt_min=1e-13"]
+    with pytest.raises(CaseError, match="expected at least") as caught:
+        case(CASE, *steps, "time.adaptive.dt_max=1e-11")
+    least = re.search(r"at least (\S+) s", str(caught.value))[1]
+    assert float(least) < 1.2e-8 * until
+    case(CASE, *steps, f"time.adaptive.dt_max={least}")
 
 
 def test_all_faults_are_reported_at_once():
