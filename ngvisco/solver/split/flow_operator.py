@@ -45,6 +45,7 @@ class FlowSchurComplement:
         derivative: HyperDerivative | None,
     ) -> None:
         self.residual, self.points, self.sweep, self.derivative = residual, points, sweep, derivative
+        self.has_interfaces = len(residual.step.model.bodies) > 1
         u, self.op = residual.unknowns, points.op
         op, self.dim, self.components = self.op, residual.step.mesh.dim, points.components
         self.nv, self.size = u.slices["v"].stop, u.flow_slice.stop
@@ -112,8 +113,10 @@ class FlowSchurComplement:
         right = np.matmul(to_z.reshape(count, n * d, 1 + d), shapes)
         to_fields = np.matmul(z_tests, right.reshape(cells, per, n * d * local))
         to_fields = to_fields.reshape(cells, q * n, d, local)
-        through = self._through_sides(fine, at)
-        to_fields[..., : through.shape[3]] += through  # functions inside the cell come last
+        if self.has_interfaces:
+            # other jumps are small, and far from the solution the sides that matter enters change
+            through = self._through_sides(fine, at)
+            to_fields[..., : through.shape[3]] += through  # functions inside the cell come last
         self.to_fields[where] = to_fields.reshape(cells, q * n, d * local)
         # from z to rows of v: the elastic force of (1 - tau P K)^{-1} dz
         force = precision.single(p.force[:, : d * d]).reshape(count, d, d, n).swapaxes(1, 2)
