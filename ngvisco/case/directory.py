@@ -178,7 +178,8 @@ class RunDirectory:
         digest = hashlib.sha256(self.mesh_file.read_bytes()).hexdigest()
         if digest != self.read_versions().get("mesh_sha256"):
             raise MeshError(
-                f"{self.mesh_file}: the file does not contain the mesh of this run, since its hash differs"
+                f"{self.mesh_file}: the file has changed since the run wrote it, since the hash of the file "
+                "differs from the hash in versions.json"
             )
         return mesh_in(self.mesh_file)
 

@@ -219,4 +219,6 @@ def _variable(text: str) -> Variable:
         exponent = number(match[2]) if match[2] else 0.0
         return _TENSORS[match[3]](name=match[1], exponent=exponent)  # type: ignore[call-arg]
     except (ExpressionError, ParameterError) as error:
-        raise ParameterError("Custom.variables", text, f"{_VARIABLE} ({error})") from error
+        raise ParameterError(
+            "Custom.variables", text, f"{_VARIABLE}; the given text has the error: {error}"
+        ) from error

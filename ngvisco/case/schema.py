@@ -159,7 +159,7 @@ BodySection: Any = section(
 
 def _check_name(name: str) -> str:
     if not re.fullmatch(r"[A-Za-z0-9_-]{1,60}", name):
-        raise ValueError("expected at most 60 letters, digits, _ and -")
+        raise ValueError("expected 1 to 60 characters, each a letter, a digit, '_' or '-'")
     return name
 
 

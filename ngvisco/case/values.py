@@ -104,7 +104,7 @@ def _numbers(value: Any) -> Any:
         if isinstance(part, list):
             _numbers(part)
         elif as_number(part) is None:
-            raise ValueError(f"expected an array of finite numbers, or of such arrays, not of {part!r:.30}")
+            raise ValueError(f"expected an array of finite numbers, but the entry {part!r:.30} is none")
     return value
 
 

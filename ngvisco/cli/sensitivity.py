@@ -103,7 +103,7 @@ def _stoppable(
         except CheckpointError as error:
             raise CheckpointError(f"{error}; with --force the command begins anew") from error
         except StopRequested:
-            return None, stopped(signals.received, "; the same command goes on")
+            return None, stopped(signals.received, "; a repeated command goes on")
 
 
 def _simulation(options: argparse.Namespace) -> tuple[Case, Simulation]:
@@ -136,8 +136,9 @@ def _require_keys(names: list[str], case: Case, simulation: Simulation) -> None:
                 raise ParameterError("by", name, f"the key of a number in {listed(keys)}", hint) from None
             if given(case.sections, tuple(name.split("."))) is None:
                 raise
-            instead = f"; the run has no {error.name!r}, but has {listed(error.known)}" if error.known else ""
-            raise ParameterError("by", name, f"a number that the run keeps{instead}") from None
+            instead = f"; the run has no parameter {error.name!r}, but has {listed(error.known)}"
+            expected = f"the key of a number that is a parameter of the run{instead if error.known else ''}"
+            raise ParameterError("by", name, expected) from None
 
 
 def _directory(options: argparse.Namespace, name: str, kind: str) -> Path:

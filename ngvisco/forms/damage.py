@@ -163,7 +163,7 @@ class DamageGrowth:
             raise ParameterError(
                 "Model.material",
                 next(iter(laws.values())),
-                "a material without damage, or a run by one process",
+                f"a material without damage in a run by {ranks.size} processes",
             )
         if step.discretisation.m != 1:
             expected = "1 with damage, since the bounds of damage are imposed at the vertices of cells"

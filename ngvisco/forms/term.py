@@ -156,8 +156,8 @@ class PointTerm:
             if before in members:
                 raise ParameterError(
                     f"{cls.__name__}.{before}",
-                    "a method of this name",
-                    f"the name {now}, since this method was renamed",
+                    "a method",
+                    f"the name {now}, since the method {before} is now called {now}",
                 )
         if not {*PLACES, "form"}.isdisjoint(members):
             cls.kernel, cls.group = members.get("kernel"), members.get("group")

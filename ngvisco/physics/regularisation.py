@@ -190,9 +190,10 @@ def curvature_of(material: Material, dim: int) -> Curvature:
         raise ParameterError(
             "Regularisation.delta_fields",
             f"a number > 0 for {type(material).__name__}",
-            f"0, since phi'' at rest has the eigenvalue {least * scale:.3g} Pa; delta_fields needs a phi'' "
-            "that is positive definite in all variables in which the energy is not linear (for one material "
-            "take WithQuadratic; for several bodies take one volumetric energy)",
+            "0, since delta_fields needs a phi'' that is positive definite in all variables in which the "
+            f"energy is not linear, but phi'' at rest has the eigenvalue {least * scale:.3g} Pa. To use "
+            "delta_fields, wrap a single material in WithQuadratic, or give all bodies the same volumetric "
+            "energy",
         )
     inverse = np.linalg.inv(at_rest + linear)
     projection, compliance = np.zeros((2, len(strains), len(strains)))

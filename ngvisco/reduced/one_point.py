@@ -143,15 +143,16 @@ def _require_dissipation(term: PointTerm, u: Fields) -> None:
     except NotAtPointsError:
         return
     except Exception as error:  # a user's term may raise anything
-        raise NotAtPointsError(f"{_DISSIPATED} ({why(error)})") from error
+        raise NotAtPointsError(_DISSIPATED.format(why(error))) from error
     for name, power in of_names.items():
         if not isinstance(power, Array):
-            raise NotAtPointsError(f"{_DISSIPATED} ({name!r} is of type {type(power).__name__})")
+            reason = f"{name!r} is of type {type(power).__name__}"
+            raise NotAtPointsError(_DISSIPATED.format(reason))
 
 
 _DISSIPATED = (
-    "dissipated_on_facets(u) cannot be evaluated with arrays; it has to return functions of u by the names "
-    "of ledger columns, and these functions may use only operations that arrays have"
+    "dissipated_on_facets(u) cannot be evaluated with arrays ({}); it has to return a mapping of names of "
+    "ledger columns to functions of u, which may use only operations that arrays have"
 )
 
 

@@ -329,7 +329,7 @@ class _Search:
                 expected = ("bounds whose values the run admits (", words_of(error), ")")
                 raise ParameterError("fit.bounds", self.bounds.tolist(), *expected) from error
         except StopRequested as error:
-            after = "" if self._restart is None else f"; the same call goes on from {self._restart.folder}"
+            after = "" if self._restart is None else f"; a repeated call goes on from {self._restart.folder}"
             message = f"the fit was stopped in run {self.runs + 1}, as requested{after}"
             raise StopRequested(message) from error
         self.runs, self.spent = self.runs + 1, self.spent + clock.process_time() - begin

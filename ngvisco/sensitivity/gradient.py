@@ -93,8 +93,8 @@ class Gradient:
         variable = next((v for v in self.simulation.model.material.variables if v.name == name), None)
         if isinstance(variable, Parameter) and variable.mean != "arithmetic":
             expected = (
-                "a parameter whose value itself is carried, and no function of the value, such as "
-                "nv.Parameter(..., mean='arithmetic')"
+                "a parameter whose value itself is carried, such as nv.Parameter(..., mean='arithmetic'); "
+                "with any other mean, a function of the value is carried"
             )
             raise ParameterError("Gradient.density", name, expected)
         result = GridFunction(layout.scalar_space(block))

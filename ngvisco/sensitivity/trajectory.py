@@ -178,7 +178,7 @@ class Trajectory:
     def require_going_on(self) -> None:
         """Raise StopRequested if the run was asked to stop, also after its last step."""
         if self.simulation.stop_requested:
-            after = "" if self.restart is None else f"; the same call goes on from {self.restart.folder}"
+            after = "" if self.restart is None else f"; a repeated call goes on from {self.restart.folder}"
             raise StopRequested(f"the derivatives of the run were stopped, as requested{after}")
 
     def keep(self, name: str, number: int, arrays: Mapping[str, np.ndarray]) -> None:

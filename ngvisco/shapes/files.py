@@ -142,8 +142,8 @@ def _connected_parts(path: str | os.PathLike[str], corners: np.ndarray, size: fl
     open_edges = int(np.count_nonzero(sense))
     if open_edges:
         expected = (
-            f"a file of a closed surface, but {open_edges} of {len(sense)} edges have triangles on one side "
-            "only, or triangles that run along the edge in the same sense"
+            f"a file of a closed surface, but at {open_edges} of {len(sense)} edges the surface is open, or "
+            "neighbouring triangles have opposite orientations"
         )
         raise ParameterError("ClosedSurface.path", path, expected)
     owner = np.tile(np.flatnonzero(whole), 3)

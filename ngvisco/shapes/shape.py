@@ -237,7 +237,11 @@ class Polygon(Shape):
 
     def level(self, at: Places) -> np.ndarray:
         if at.mesh.dim != 2:
-            raise ParameterError("Polygon.points", self.points, "no polygon in a mesh of three dimensions")
+            raise ParameterError(
+                "Polygon.points",
+                self.points,
+                "another shape, such as ClosedSurface, since a Polygon needs a mesh of two dimensions",
+            )
         p, is_inside = at.coordinates, np.zeros(len(at.coordinates), dtype=bool)
         distance = np.full(len(p), np.inf)
         for a, b in zip(*self._edges, strict=True):

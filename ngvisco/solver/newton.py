@@ -44,9 +44,9 @@ HEAP_SIZES = (500_000_000, 2_000_000_000)
 """Heap sizes for a cell's matrix, bytes, tried if NGSolve's default is too small, as for k = 3, m = 2 in
 3D."""
 _UNITS = (
-    ". The elimination of a cell's own unknowns is not scaled. If moduli and volume/dt differ by twenty "
-    "orders of magnitude, as in geodynamics in SI units, take units in which these numbers are near one, "
-    "or the split solver"
+    ". NGSolve eliminates the unknowns of a cell without scaling, which fails if moduli and (volume of a "
+    "cell)/dt differ by twenty orders of magnitude, as in geodynamics in SI units: take units in which these "
+    "numbers are near one, or the split solver"
 )
 
 

@@ -61,7 +61,7 @@ def test_what_is_measured_does_not_change_the_case(tmp_path):
         ("output.probes.0.point=[2, 2]", r"output.probes.0.point .*expected a point of the domain"),
         ("output.probes.0.point=[1]", r"output.probes.0.point .*points of 2 finite coordinates"),
         ("output.probes.0.fields=['veloctiy']", "output.probes.0.fields .*did you mean 'velocity'"),
-        ("output.probes.0.name='a/b'", "output.probes.0.name .*'a/b': expected at most 60 letters"),
+        ("output.probes.0.name='a/b'", "output.probes.0.name .*'a/b': expected 1 to 60 characters"),
         ("output.integrals.0.name='tip'", "output.integrals.0.name .*a name that no other table has"),
         ("output.lines.0.name='forces'", "output.lines.0.name .*both tables would write forces.csv"),
         ("output.lines.0.end=[0, 0.5]", "output.lines.0.end .*a point that differs from start"),

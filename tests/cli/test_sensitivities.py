@@ -91,7 +91,7 @@ def test_a_gradient_stopped_by_a_signal_goes_on(case, tmp_path, where):
         said, _ = process.communicate(timeout=60)
     finally:
         process.kill()
-    assert process.returncode == 128 + signal.SIGTERM and "the same command goes on" in said
+    assert process.returncode == 128 + signal.SIGTERM and "a repeated command goes on" in said
     assert [path.name for path in out.iterdir()] == ["restart"]
     code, _, err = command(*words, "-o", out)
     assert code == 0, err

@@ -246,7 +246,7 @@ structured_box((1, 1, 1), (100, 100, 17)) | at most 1000000 tetrahedra, not 1020
 volumes(PLANE, [Ball((0, 0, 0), 1.0)]) | since the mesh has 2 dimensions
 volumes(PLANE, [Block((0, 0, 0), (1, 1, 1))]) | since the mesh has 2 dimensions
 volumes(PLANE, [HalfSpace((0, 0, 0), (0, 0, 1))]) | since the mesh has 2 dimensions
-volumes(box((1, 1, 1), 1), [Polygon(((0, 0), (1, 0), (0, 1)))]) | no polygon in a mesh of three dimensions
+volumes(box((1, 1, 1), 1), [Polygon(((0, 0), (1, 0), (0, 1)))]) | needs a mesh of two dimensions
 volumes(PLANE, [Where(1 / (x - x))]) | finite
 """
 """Misuses | the messages that answer them; lines with two spaces before them continue the message."""

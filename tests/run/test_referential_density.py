@@ -156,7 +156,7 @@ def test_hash_of_a_case_without_a_density_is_that_of_the_default():
         ('initial.values={J="1.1"}', ["initial.density", "rho_0 J_0 is from 2.75"]),
         ("material.gamma=900", ["material.a", "finite"]),
         ("rheology.viscosity.D=[[1, 2], [3, 4]]", ["rheology.viscosity.D", "6x6"]),
-        ("rheology.viscosity.D=[[1, 'a']]", ["rheology.viscosity.D", "not of 'a'"]),
+        ("rheology.viscosity.D=[[1, 'a']]", ["rheology.viscosity.D", "the entry 'a'"]),
         ("rheology.viscosity.notation='kelvin'", ["rheology.viscosity.notation"]),
     ],
 )

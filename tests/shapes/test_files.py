@@ -123,7 +123,7 @@ FLAT = np.array([[_A, _B, _C], [_A, _C, _D], [_A, _D, _B], [_B, _D, _C]], dtype=
     [
         (ascii_stl(cube()[:-1]), "3 of 18 edges"),
         (binary_stl(cube()[1:]), "closed surface"),
-        (ascii_stl(np.concatenate([cube()[:1, ::-1], cube()[1:]])), "3 of 18 edges .* in the same sense"),
+        (ascii_stl(np.concatenate([cube()[:1, ::-1], cube()[1:]])), "3 of 18 edges .* opposite orientations"),
         (
             binary_stl(np.concatenate([cube(), cube()])),
             "each triangle once, but 12 of the 24 triangles are repeated",

@@ -252,10 +252,11 @@ class Column:
             float(Integrate(self._weighed(Norm(f)), self.mesh)) for f in (grad(self.p) - force, force)
         )
         if left > _UNBORNE * size:
-            around = "the loads go around the periodic domain, or " * bool(self.step.layout.periodic)
+            around = "the loads have a circulation around the periodic domain, or "
             message = (
-                f"equilibrium: no pressure balances {left / size:.0%} of the loads, since {around}the "
-                "density varies along level surfaces, or within cells. The body will therefore move"
+                f"equilibrium: {left / size:.0%} of the loads are balanced by no pressure, since "
+                f"{around * bool(self.step.layout.periodic)}the density varies within cells, or along level "
+                "surfaces of the loads' potential. The body will therefore move"
             )
             self.sampler.ranks.warn(message, InputWarning, stacklevel=4)
 

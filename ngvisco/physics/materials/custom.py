@@ -79,8 +79,8 @@ class CustomMaterial(Material):
         )
         if not names_and_functions:
             expected = (
-                "a mapping of names to functions of the variables that are positive where the energy has a "
-                "value"
+                "a mapping of names to functions, each of which takes the variables and is positive where "
+                "the energy has a value"
             )
             raise ParameterError("CustomMaterial.bounds", self.bounds, expected)
         object.__setattr__(self, "bounds", dict(self.bounds))
