@@ -444,7 +444,7 @@ REFUSED = {
     "output.probes=[{name='p',point=[2, 0]}]": "a point of the domain, which lies in",
     "material.G_e=-1": "expected a finite number > 0",
     "initial.density='x - 0.1'": "density rho_0",
-    "domain.maxh=1.5": "cells for",
+    "domain.maxh=1.5": "ranks need at least one cell each",
     "domain={geometry='disc',radius=1,maxh=0.5,order=1}": "between straight facets",
 }
 REFUSING = """
