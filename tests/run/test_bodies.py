@@ -278,7 +278,7 @@ def test_fields_of_bodies_diffuse_where_their_volumetric_energy_is_one():
         assert np.abs(masses(run) / start - 1).max() <= 1e-12
         assert run.ledger.rows[-1]["dissipation_delta_fields"] > 0
     soft = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: J - 2 + 1 / J)
-    with pytest.raises(nv.ParameterError, match=r"delta_fields.*several bodies take one volumetric energy"):
+    with pytest.raises(nv.ParameterError, match=r"delta_fields.*give all bodies the same volumetric energy"):
         small_run(bodies=[disc(), rest(material=soft)], **diffusing)
 
 
