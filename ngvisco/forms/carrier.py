@@ -25,6 +25,7 @@ largest number of iterations."""
 
 
 def cells_of(mesh: Mesh, order: int, vector: bool) -> FESpace:
+    """The space of a carried field, discontinuous P_order: a scalar or a vector of dim components."""
     return ngs.VectorL2(mesh, order=order) if vector else L2(mesh, order=order)
 
 

@@ -84,7 +84,7 @@ class Momentum:
         self._given = [IMPULSE + name for name in self.impulses.names]
         self._at_once: list[str] = []
         """Names of the impulses in earlier parts of the run, and of the transfers between parts."""
-        self._has_warned = False
+        self._has_warned, self._is_alone = False, len(step.model.bodies) < 2
         self.resume([])
 
     @property
@@ -189,9 +189,9 @@ class Momentum:
         # walls to a body that is clamped under stress, although the sum of the reactions vanishes
         rounding = _ROUNDING * ((totals.exchanged / self._reach).max(initial=0.0) + totals.stressed)
         moving = totals.moving + values["mass"] * self._velocity() + rounding
-        # a defect above all momentum of the body does not move the body: walls bear the defect, as they bear
-        # the body's stress
-        is_borne = abs(totals.defect) > self._reach * moving
+        # a defect above all momentum of matter that fills the domain does not move the matter: walls bear the
+        # defect, as they bear the stress; a body within other matter may move nevertheless, against viscosity
+        is_borne = self._is_alone & (abs(totals.defect) > self._reach * moving)
         borne = np.where(is_borne, self._reach * totals.stressed, 0.0)
         scale = self._reach * moving + totals.exchanged + borne
         row[RELATIVE] = float((abs(totals.defect) / np.where(scale > 0, scale, 1.0)).max())

@@ -124,7 +124,8 @@ class PassiveFields:
 
     def begin(self) -> None:
         """Begin a step: forget the stages since the last accepted step."""
-        self._stages, self._unsolved = [{key: self.arrays()[key] for key in self._solvers}], set()
+        first = {key: self.parts[key].vec.FV().NumPy().copy() for key in self._solvers}
+        self._stages, self._unsolved = [first], set()
 
     def stage(self, weights: np.ndarray, share: float = 1.0) -> None:
         """Carry all fields over a stage, which starts from the weighted sum of the stages so far.
