@@ -28,6 +28,7 @@ from ngvisco.forms.start.given import function_field, grid_field
 from ngvisco.forms.start.initial import Initial
 from ngvisco.forms.term import Entry, Integrand, PointTerm
 from ngvisco.notices import print_own
+from ngvisco.physics import flow_rules, materials
 from ngvisco.physics.activation import WLF, Activated, ActivatedViscosity
 from ngvisco.physics.bodies import Body
 from ngvisco.physics.diffusion import Diffusion, WallExchange
@@ -38,48 +39,11 @@ from ngvisco.physics.energy_checks import (
     check_convexity,
     check_isotropy,
 )
-from ngvisco.physics.flow_rules import (
-    PTT,
-    Composite,
-    Creep,
-    DruckerPrager,
-    Eyring,
-    FlowRule,
-    Giesekus,
-    Norton,
-    Perzyna,
-)
+from ngvisco.physics.flow_rules import *  # noqa: F403
 from ngvisco.physics.heat import Heat, WallHeat
 from ngvisco.physics.loads import BodyForce, CentralGravity, Gravity
 from ngvisco.physics.material import Material
-from ngvisco.physics.materials import (
-    FENEP,
-    BarotropicFluid,
-    Branch,
-    CustomMaterial,
-    Damaged,
-    Gent,
-    HardeningElastic,
-    IsochoricNeoHookean,
-    IsotropicStrainEnergy,
-    LinearElastic,
-    LogarithmicMooneyRivlin,
-    LogarithmicNeoHookean,
-    MooneyRivlin,
-    NeoHookean,
-    Network,
-    Ogden,
-    OldroydB,
-    PerMass,
-    PerReferentialVolume,
-    ReferentialMooneyRivlin,
-    ReferentialNeoHookean,
-    Thermal,
-    WithQuadratic,
-    Yosida,
-    prony_network,
-    read_prony,
-)
+from ngvisco.physics.materials import *  # noqa: F403
 from ngvisco.physics.model import Model
 from ngvisco.physics.parameters import Parameter
 from ngvisco.physics.regularisation import Regularisation
@@ -138,27 +102,23 @@ except importlib.metadata.PackageNotFoundError:  # a clone without installation
 
 
 if importlib.util.find_spec("ngvisco.geometries") is None:  # in a clone it lies beside ngvisco/
-    __path__.append(str(Path(__file__).resolve().parents[1]))
+    __path__.append(str(Path(__file__).resolve().parents[1]))  # noqa: F405
 print_own()
 
 # imported after geometries, which the catalogue of case files lists
 from ngvisco.case import Case, CaseError, RunDirectoryError, load, load_case  # noqa: E402
 
 __all__ = [
-    "FENEP",
-    "PTT",
     "SCHEMES",
     "WLF",
     "Activated",
     "ActivatedViscosity",
     "AdaptiveSteps",
     "Ball",
-    "BarotropicFluid",
     "Block",
     "Bodies",
     "Body",
     "BodyForce",
-    "Branch",
     "Carreau",
     "Case",
     "CaseError",
@@ -167,33 +127,23 @@ __all__ = [
     "Checkpoints",
     "ClosedSurface",
     "ClosureWarning",
-    "Composite",
     "Contours",
     "ConvexityReport",
     "ConvexityWarning",
-    "Creep",
     "CreepPowerWarning",
     "Cross",
-    "CustomMaterial",
     "DamageWarning",
-    "Damaged",
     "DataError",
     "DefectWarning",
     "Diffusion",
     "Discretisation",
     "DissipationWarning",
-    "DruckerPrager",
     "EntropyWarning",
     "Entry",
-    "Eyring",
     "Fit",
-    "FlowRule",
-    "Gent",
-    "Giesekus",
     "Gradient",
     "Gravity",
     "HalfSpace",
-    "HardeningElastic",
     "Heat",
     "HyperViscosity",
     "Image",
@@ -204,40 +154,26 @@ __all__ = [
     "InputWarning",
     "Integrals",
     "Integrand",
-    "IsochoricNeoHookean",
-    "IsotropicStrainEnergy",
     "IsotropyReport",
     "LedgerCSV",
     "LineSamples",
-    "LinearElastic",
     "LinearViscosity",
-    "LogarithmicMooneyRivlin",
-    "LogarithmicNeoHookean",
     "Material",
     "MeshError",
     "Misfit",
     "Model",
     "MomentumWarning",
-    "MooneyRivlin",
     "NavierFriction",
-    "NeoHookean",
-    "Network",
     "NewtonOptions",
     "NgviscoError",
     "NgviscoWarning",
     "NoSlip",
-    "Norton",
     "NotANumberError",
     "NotebookProgress",
     "Observer",
-    "Ogden",
-    "OldroydB",
     "Open",
     "Parameter",
     "ParameterError",
-    "PerMass",
-    "PerReferentialVolume",
-    "Perzyna",
     "PointTerm",
     "Polygon",
     "PowerLaw",
@@ -245,8 +181,6 @@ __all__ = [
     "PrescribedTangential",
     "Probes",
     "Progress",
-    "ReferentialMooneyRivlin",
-    "ReferentialNeoHookean",
     "Refinement",
     "Regularisation",
     "Rejection",
@@ -260,7 +194,6 @@ __all__ = [
     "StokesViscosity",
     "StopRequested",
     "Subdomain",
-    "Thermal",
     "TimeScheme",
     "TimeSteps",
     "Traction",
@@ -271,8 +204,6 @@ __all__ = [
     "WallExchange",
     "WallForces",
     "WallHeat",
-    "WithQuadratic",
-    "Yosida",
     "check_convexity",
     "check_isotropy",
     "fit",
@@ -284,10 +215,8 @@ __all__ = [
     "plot_energies",
     "plot_fields",
     "plot_schemes",
-    "prony_network",
     "pulse",
     "read_ledger",
-    "read_prony",
     "record",
     "resume_changed",
     "run_refined",
@@ -296,3 +225,5 @@ __all__ = [
     "time",
     "transfer",
 ]
+__all__ += flow_rules.__all__
+__all__ += materials.__all__

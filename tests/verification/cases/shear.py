@@ -11,7 +11,7 @@ import ngvisco as nv
 from ngvisco.forms.boundary.walls import Conditions
 from ngvisco.forms.context import time
 from ngvisco.geometries import box, channel
-from ngvisco.physics.flow_rules import CreepLaw
+from ngvisco.physics.flow_rules.laws import CreepLaw
 from tests.verification.case import Cases, Curve, Measured, Plot, RateTable, Table, extrapolated
 from tests.verification.setups import followed, stokes
 
