@@ -175,8 +175,7 @@ class LocalMatrix:
         """Apply the matrix to each of ``rows``, (..., width) -> (..., height)."""
         if np.iscomplexobj(rows):
             return self(rows.real.copy()) + 1j * self(rows.imag.copy())  # real products use BLAS
-        nodes = self.of_nodes(rows)
-        return self.from_nodes(nodes).reshape(*rows.shape[:-1], self.height)
+        return self.from_nodes(self.of_nodes(rows)).reshape(*rows.shape[:-1], self.height)
 
     def of_nodes(self, rows: np.ndarray) -> np.ndarray:
         """Apply the matrix at the nodes to each of real ``rows``, (..., width) -> (..., cells, nodes)."""

@@ -37,8 +37,7 @@ class Rounded:
     def __call__(self, rows: np.ndarray) -> np.ndarray:
         """Apply the matrix to each row, (rows, width) -> (rows, height)."""
         length = largest(rows)
-        product = apply(self._matrix, (rows / length).astype(precision.SINGLE))
-        return np.float64(self._unit * length) * product
+        return np.float64(self._unit * length) * apply(self._matrix, (rows / length).astype(precision.SINGLE))
 
 
 def widened(matrix: sp.csr_matrix, height: int, width: int) -> sp.csr_matrix:

@@ -246,8 +246,7 @@ class Case:
             every = None if vtk.interval else vtk.every
             chosen.append(VTKSeries(out / "vtk", **parameters(vtk) | {"every": every}, times=times))
         chosen += samples(self.sections, out).values()
-        attributes = {"case": self.hash}
-        chosen.append(Checkpoints(out / "run.h5", **parameters(checkpoint), attributes=attributes))
+        chosen.append(Checkpoints(out / "run.h5", **parameters(checkpoint), attributes={"case": self.hash}))
         return chosen
 
 

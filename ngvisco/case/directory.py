@@ -175,8 +175,7 @@ class RunDirectory:
     def mesh(self) -> Mesh:
         """The initial mesh of the run; raises MeshError if the file has changed since the run wrote it."""
         require_whole(self.mesh_file)
-        digest = hashlib.sha256(self.mesh_file.read_bytes()).hexdigest()
-        if digest != self.read_versions().get("mesh_sha256"):
+        if hashlib.sha256(self.mesh_file.read_bytes()).hexdigest() != self.read_versions().get("mesh_sha256"):
             raise MeshError(
                 f"{self.mesh_file}: the file has changed since the run wrote it, since the hash of the file "
                 "differs from the hash in versions.json"

@@ -139,8 +139,7 @@ class Locator:
         """The key at fault and the message."""
         value = getattr(error, "value", None)
         if isinstance(error, MeshError):
-            of_file = self.sections.domain.geometry == "file"
-            return ("domain", "path") if of_file else ("domain",), error
+            return ("domain", "path") if self.sections.domain.geometry == "file" else ("domain",), error
         key = key_of(error.key, path, self.sections, value) if error.key else path
         if isinstance(error, ParameterError):
             return key, refused(self._shown(key, value), error)

@@ -217,8 +217,7 @@ def _said_of(kind: str) -> str:
 
 def _fields(name: str) -> list[tuple[str, str]]:
     """Names and descriptions of the output's fields with this name, from their modules' docstrings."""
-    tables = f"{output.__doc__}{passive.__doc__}"
-    rows = re.findall(r"^\| (\w+) +\| (.*\S) +\| [^|]*\|$", tables, re.M)
+    rows = re.findall(r"^\| (\w+) +\| (.*\S) +\| [^|]*\|$", f"{output.__doc__}{passive.__doc__}", re.M)
     return [(name, description) for named, description in rows if named == re.sub(r"_\d$", "_i", name)]
 
 

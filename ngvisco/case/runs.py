@@ -71,8 +71,7 @@ def run(
 
         def whole() -> Mesh:
             nonlocal image
-            image = mesh_image(case.mesh())
-            return mesh_of(image)
+            return mesh_of(mesh_image(case.mesh()))
 
         simulation = case.simulation(_mesh_of_first(case, ranks, whole))
     origin: dict[str, Any] | None = None

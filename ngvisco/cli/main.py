@@ -92,8 +92,7 @@ def parser() -> argparse.ArgumentParser:
     resume.add_argument("--until", metavar="T", help=text)
 
     text = "run a case with some of its keys varied"
-    parents = [a_case, settings, running]
-    sweep = commands.add_parser("sweep", help=text, description=_SWEEP, parents=parents)
+    sweep = commands.add_parser("sweep", help=text, description=_SWEEP, parents=[a_case, settings, running])
     text = "values of a key, e.g. --vary material.G_e=1,2,5 (repeatable: all combinations are run)"
     sweep.add_argument("--vary", metavar="KEY=V1,V2,...", action="append", default=[], help=text)
     text = "directory of the sweep (default results/<name of the case>-sweep)"

@@ -75,8 +75,7 @@ def _compare(options: argparse.Namespace, runs: dict[str, Path]) -> int:
                 value,
                 "no such option for several runs, since several runs are compared over time",
             )
-    study = len(options.directory) == 1
-    out = Path(options.output or (options.directory[0] if study else "."))
+    out = Path(options.output or (options.directory[0] if len(options.directory) == 1 else "."))
     for path in plot_comparison(runs, out, options.fields, options.format):
         print(path)
     return 0

@@ -421,8 +421,7 @@ class Bounds:
         places = self.sampler.coordinates(points)
         place = places.mean(axis=0)
         if not is_mean:
-            at_points = self.sampler.rows(self._present, points)[:, bound]
-            place = places[int(np.argmin(_or_least(at_points)))]
+            place = places[int(np.argmin(_or_least(self.sampler.rows(self._present, points)[:, bound])))]
         return self._violation(
             self.names[bound], float(values[i, bound]), int(outside.cells[i]), place, is_mean
         )

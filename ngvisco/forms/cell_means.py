@@ -180,8 +180,7 @@ class Stretches:
 
     def limit(self) -> np.ndarray:
         """Make X_i of the present state positive; return the changed cells of this rank."""
-        changed = [self._limited(X) for X in self._amounts]
-        return np.unique(np.concatenate([np.zeros(0, dtype=int), *changed]))
+        return np.unique(np.concatenate([np.zeros(0, dtype=int), *[self._limited(X) for X in self._amounts]]))
 
     def _outside(self, content: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Points where X_i of a participating body is not positive, the cells of these points, and B of the

@@ -212,8 +212,7 @@ class LinearisationStress:
         """Set the next state's stresses to the ``arrays`` of ``frozen``, or without arrays to M(z)."""
         if self and arrays.keys() >= self.functions.keys():
             self.start()
-            given = [arrays[name].reshape(self.space.size, -1).T for name in self.functions]
-            self._given = np.stack(given)
+            self._given = np.stack([arrays[name].reshape(self.space.size, -1).T for name in self.functions])
 
     def components(self, mechanism: CreepMechanism, u: UnknownValues, rates: Rates) -> Any:
         """Components of the stress M(z) that drives a mechanism."""

@@ -155,8 +155,7 @@ class PointwiseEnergy(StoredEnergy):
         if u is not self.fields and u in self._values:
             return self._values[u].slope
         now = self._values[self.fields]  # also for trial functions, with the derivative by z at the state
-        hessian = self._hessian.Reshape((self._size, self._size))
-        return now.slope + hessian * (u.z - now.state)
+        return now.slope + self._hessian.Reshape((self._size, self._size)) * (u.z - now.state)
 
     def tested_slope(self, u: UnknownValues, w: UnknownValues) -> list[CoefficientFunction]:
         slope = self.material.states(self.dim).tensors(lambda: self.slope(u))
@@ -187,8 +186,7 @@ class PointwiseEnergy(StoredEnergy):
             self._at_sides.refresh(self.response)
 
     def samples(self, z: Values, sampler: Sampler) -> np.ndarray:
-        components = self.material.states(self.dim).components(z)
-        states = sampler.rows(components)
+        states = sampler.rows(self.material.states(self.dim).components(z))
         response = self.response(states)
         self.last_failure = response.failure or self.last_failure
         return response.energy

@@ -49,6 +49,5 @@ class EntryIntegrals:
         """Numbers of this rank's cells in which an entry's integrand is not a number."""
         for names, together, _ in self._in_cells:
             if name in names:
-                part = together[names.index(name)]
-                return np.flatnonzero(~np.isfinite(self._quadrature.each_cell(part)))
+                return np.flatnonzero(~np.isfinite(self._quadrature.each_cell(together[names.index(name)])))
         return np.zeros(0, dtype=int)

@@ -160,8 +160,7 @@ def bulk_pressure(
     if entropy is not None and theta is not None and thermal is not None:
         z[entropy.name] = thermal.start(theta, 1 / J)
     zero = CF((0.0,) * 9, dims=(3, 3))
-    power = rate_power(material, z, conjugates(material, z), Id(3) / 3, zero)
-    return -(power + material.energy(z))
+    return -(rate_power(material, z, conjugates(material, z), Id(3) / 3, zero) + material.energy(z))
 
 
 def _at_pressure(

@@ -317,8 +317,7 @@ class Impulses:
         The densities are evaluated at ``fields``, by default the present state.
         """
         u = self.step.now if fields is None else fields
-        along = [u.rho * inner(u.v, motion) for motion in self.motions.values()]
-        return [*along, sqrt(square(u.rho * u.v))]
+        return [*[u.rho * inner(u.v, motion) for motion in self.motions.values()], sqrt(square(u.rho * u.v))]
 
 
 def _thrust(u: Fields, phi: CoefficientFunction) -> CoefficientFunction:

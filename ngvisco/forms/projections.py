@@ -205,7 +205,6 @@ def set_traces(layout: StepLayout, state: GridFunction, context: Context, quadra
             value = (now.grad_v * n)[unknown.component] if place == "normals" else now.parts[traced]
             for i in range(value.dim):
                 component = value[i] if value.dim > 1 else value
-                load = LinearForm(quadrature.facets(component * test)).Assemble()
-                row = (inverse * load.vec).Evaluate()
+                row = (inverse * LinearForm(quadrature.facets(component * test)).Assemble().vec).Evaluate()
                 target[i * len(row) : (i + 1) * len(row)] = row
         release(inverse)

@@ -192,8 +192,7 @@ class Rates:
         for name, value in interface.values:
             row = np.zeros((1, states.size))
             row[0, states.slices[AMOUNT + name]] = 1.0
-            of_amount = linear_map(np.kron(row, np.eye(old.dim)), old.grad_z, (old.dim,))
-            parts.append((value - mean) * of_amount)
+            parts.append((value - mean) * linear_map(np.kron(row, np.eye(old.dim)), old.grad_z, (old.dim,)))
         return reduce(add, parts)
 
     def pressure(self, u: UnknownValues) -> CoefficientFunction:
@@ -395,8 +394,7 @@ class TabulatedRates(Rates):
         if isinstance(tests, Linear):
             return [tests.InnerProduct(Array(self.rate(z, self.entries_of_L(along)), None))]
         stress, plane = self.stress(z, tests.value, 0, self.tensors.gradients), self.dim**2
-        of_plane = stress[:plane].reshape(*along.grad_v.shape, -1)
-        parts = [along.grad_v.InnerProduct(Array(of_plane, None))]
+        parts = [along.grad_v.InnerProduct(Array(stress[:plane].reshape(*along.grad_v.shape, -1), None))]
         return parts if along.hoop is None else [*parts, along.hoop * Array(stress[plane], None)]
 
     def entries_of_L(self, along: UnknownValues) -> np.ndarray:
@@ -428,8 +426,7 @@ class TabulatedRates(Rates):
 
     def stored(self, u: UnknownValues) -> Array:
         """phi(z), Pa."""
-        phi: Array = u.once("phi", lambda: self._stored(u))
-        return phi
+        return u.once("phi", lambda: self._stored(u))
 
     def _stored(self, u: UnknownValues) -> Array:
         if isinstance(self.response, ArrayResponse):

@@ -76,8 +76,7 @@ class WallReactions:
         self._project = LocalProjection(
             self._projected, step.quadrature, tested(step.energy.density(step.now))
         )
-        flux = self._energy_flux(step.now) * normal_test
-        step.quadrature.add(self._energy, [Integrand(facets=flux)])
+        step.quadrature.add(self._energy, [Integrand(facets=self._energy_flux(step.now) * normal_test)])
         self._terms = {name: self._own_terms(name, step.now) for name in self.names}
         shared = sum((self._weights[name] for name in self.names), np.zeros(space.ndof))
         self._residual = step.residual_at(shared != 0)
@@ -163,8 +162,7 @@ class WallReactions:
             factor = factor - facet_indicator(step.mesh, [name]) * is_projected * along
         q = GridFunction(self._projected.space)
         project = LocalProjection(q, step.quadrature, lambda test: [Integrand(facets=factor * test)])
-        facets = sum(integrands, self._energy_flux(u) * normal)
-        return Integrand(q * energy.near(u), facets), project
+        return Integrand(q * energy.near(u), sum(integrands, self._energy_flux(u) * normal)), project
 
     def __call__(self) -> dict[str, list[float]]:
         """The components of force, N, and of torque, N m, on each wall (per metre in plane strain, for a body

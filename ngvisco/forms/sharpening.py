@@ -152,8 +152,7 @@ class Sharpening:
                 f"{FAR:g} heights displace the interface. Take dt or dt_max <= {longest:.2g} s, or larger "
                 "cells there"
             )
-            words = Words(Mention(SHARP), " = ", True, message)
-            self._ranks.warn(words, InputWarning, stacklevel=5)
+            self._ranks.warn(Words(Mention(SHARP), " = ", True, message), InputWarning, stacklevel=5)
 
     def put_apart(self, tau: float) -> None:
         """Separate bodies of the present state at the end of a step of length ``tau``, s."""
@@ -203,8 +202,7 @@ class Sharpening:
         sums = self._shared.sum(
             np.array([np.bincount(at, w, count) for w in (weights * values.ravel(), weights)])
         )
-        averages: np.ndarray = (sums[0] / np.maximum(sums[1], np.finfo(float).tiny))[self._vertices]
-        return averages
+        return (sums[0] / np.maximum(sums[1], np.finfo(float).tiny))[self._vertices]
 
     def _behind(self, u: np.ndarray, i: int) -> np.ndarray:
         """Values at corners, (cells, corners), of linear functions that are > 0 in body i's part of a cell,
@@ -239,8 +237,7 @@ class Sharpening:
         """
         out = self._tau * self._flux
         swept = self._swept_of_planes if self._distances is None else self._swept_of_outlines
-        behind = swept(i, j, strips)
-        return np.asarray(behind * (out[i] + out[j]) - out[i])
+        return np.asarray(swept(i, j, strips) * (out[i] + out[j]) - out[i])
 
     def _swept_of_planes(self, i: int, j: int, strips: np.ndarray) -> np.ndarray:
         """Shares of body i in the strips, (cells, facets), by planes."""

@@ -333,8 +333,7 @@ class Step:
 
     @cached_property
     def _residual_at_moving_walls(self) -> BilinearForm:
-        masks = [mask for _, mask in self.moving_walls.moving.values()]
-        return self.residual_at(np.logical_or.reduce(masks))
+        return self.residual_at(np.logical_or.reduce([mask for _, mask in self.moving_walls.moving.values()]))
 
     def _residual(self, cells: BitArray | None = None, condense: bool = True) -> BilinearForm:
         """R(u; w) over all cells or ``cells`` as a nonlinear form with its element-local unknowns."""
@@ -396,8 +395,7 @@ class Step:
     def freeze(self) -> None:
         """Set the lagged variables in other variables' conjugates to the present state."""
         if self.lagged is not None:
-            values = self.state.vec.FV().NumPy()[self.layout.ranges["z"]]
-            self.lagged.vec.FV().NumPy()[:] = values
+            self.lagged.vec.FV().NumPy()[:] = self.state.vec.FV().NumPy()[self.layout.ranges["z"]]
 
     def start_from(self, parts: Sequence[tuple[float, Evolved]]) -> None:
         """Start the step from a weighted sum of states, linear in (rho, m, z) and further evolving unknowns.

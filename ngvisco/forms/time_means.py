@@ -144,8 +144,7 @@ class _RuleSearch:
         whole = self._integral(a, b)
         off = np.abs(whole - sum(look[1:], look[0]))
         if self._size(off) <= TOLERANCE * (b - a):
-            midpoint = np.array([[0.5 * (a + b)], [b - a]])
-            return midpoint if self._is_constant(a, b) else _gauss((a, b)), off
+            return np.array([[0.5 * (a + b)], [b - a]]) if self._is_constant(a, b) else _gauss((a, b)), off
         panels = [self._halved(*ends, half) for ends, half in zip(_equal(a, b), look, strict=True)]
         heapify(panels)
         done, error = [], np.zeros_like(whole)
@@ -297,7 +296,6 @@ def mean_on_walls(
 
     def make() -> np.ndarray:
         load.Assemble()
-        local = getattr(load.vec, "local_vec", load.vec)
-        return np.array((inverse * local).Evaluate().FV().NumPy())
+        return np.array((inverse * getattr(load.vec, "local_vec", load.vec)).Evaluate().FV().NumPy())
 
     return function, TimeMean(value, mesh, make, function.vec.FV().NumPy(), walls)

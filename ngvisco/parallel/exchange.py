@@ -274,8 +274,7 @@ class Interpolation:
         communicator = Communicator.of(space.mesh)
         self._turn, self._turns = _turns(Exchange.of(space, communicator))
         self._takes_part = Parameter(1.0)
-        pairs = len(list(space.mesh.GetPeriodicNodePairs(VERTEX)))
-        self._is_periodic = communicator.total(pairs) > 0
+        self._is_periodic = communicator.total(len(list(space.mesh.GetPeriodicNodePairs(VERTEX)))) > 0
 
     def __call__(
         self, function: GridFunction, value: CoefficientFunction, where: Region | None = None

@@ -133,8 +133,7 @@ def of_whole(mesh: Mesh, values: np.ndarray) -> np.ndarray:
     numbers, parts = mesh.ranks.mpi.gather(mesh.cells), mesh.ranks.mpi.gather(values)
     if parts is None:
         return values[:0]
-    result: np.ndarray = np.concatenate(parts)[np.argsort(np.concatenate(numbers))]
-    return result
+    return np.concatenate(parts)[np.argsort(np.concatenate(numbers))]
 
 
 def number_of(mesh: Mesh, cell: int) -> int | None:
@@ -163,8 +162,7 @@ def _numbers(part: MeshPart, ranks: Communicator) -> np.ndarray:
             number = np.array([-1, *(vertices[place.tobytes()] for place in points)], dtype=np.int64)
             numbers = [number_of_cell[corners.tobytes()] for corners in number[nodes + 1]]
             answers.append(np.array(numbers, dtype=np.int64))
-    result: np.ndarray = ranks.mpi.scatter(answers)
-    return result
+    return ranks.mpi.scatter(answers)
 
 
 def _corners(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:

@@ -252,8 +252,7 @@ class Array(_Node):
         """The determinants of 3x3 tensors."""
         self._require_matrix()
         cofactor = 0.5 * cross(self.value, self.value)
-        value = (self.value[0] * cofactor[0]).sum(axis=0)
-        return Array(value, [(self, lambda g: g * cofactor)])
+        return Array((self.value[0] * cofactor[0]).sum(axis=0), [(self, lambda g: g * cofactor)])
 
     def where_positive(self, then: Any, otherwise: Any) -> Array:
         """``then`` where this scalar is > 0, ``otherwise`` elsewhere."""
@@ -312,8 +311,7 @@ class ConstantInCells(Array):
 
     def transposed_times(self, vectors: np.ndarray) -> np.ndarray:
         """The transposed matrices times vectors, (n, points)."""
-        product: np.ndarray = called(_times, self._by_cells.transpose(2, 1, 0), vectors, self._points)
-        return product
+        return called(_times, self._by_cells.transpose(2, 1, 0), vectors, self._points)
 
 
 def _times(matrices: np.ndarray, vectors: np.ndarray, per: int) -> np.ndarray:

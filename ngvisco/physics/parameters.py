@@ -332,8 +332,7 @@ def distinct(parameters: Iterable[Parameter]) -> tuple[Parameter, ...]:
     for parameter in parameters:
         namesake = by_name.setdefault(parameter.name, parameter)
         if namesake is not parameter and not (namesake == parameter and namesake.start is parameter.start):
-            expected = "a name that no other parameter has"
-            raise ParameterError("Parameter.name", parameter.name, expected)
+            raise ParameterError("Parameter.name", parameter.name, "a name that no other parameter has")
     return tuple(by_name.values())
 
 

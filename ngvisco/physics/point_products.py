@@ -37,8 +37,7 @@ def product(left: str, right: str, out: str, a: np.ndarray, b: np.ndarray) -> np
 
 def applied(matrix: np.ndarray, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     """A constant matrix times the entries of ``value``, row by row, as tensors of ``shape``."""
-    result: np.ndarray = called(_applied, matrix, value, shape)
-    return result
+    return called(_applied, matrix, value, shape)
 
 
 def _applied(matrix: np.ndarray, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:

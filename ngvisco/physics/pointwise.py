@@ -32,8 +32,7 @@ _DIFFERENCE = 1e-4
 
 def sampled_energies(material: Material, dim: int) -> str:
     """Energies at fixed states, Pa, as a text that does not depend on the versions of libraries."""
-    rng = np.random.default_rng(2024)
-    F = np.eye(3) + 0.25 * rng.uniform(-1, 1, (8, 3, 3))
+    F = np.eye(3) + 0.25 * np.random.default_rng(2024).uniform(-1, 1, (8, 3, 3))
     if dim == 2:
         F[:, 2, :2] = F[:, :2, 2] = 0.0
     return " ".join(f"{value:.8e}" for value in energies_at(material, states_of(material, F, dim), dim))

@@ -132,8 +132,7 @@ class RateTensors:
 
     def rate(self, z: np.ndarray, X: np.ndarray, first: int = 0) -> np.ndarray:
         """rate(z; X), (n, points), for X (X, points), whose first entry has the index ``first``."""
-        rates: np.ndarray = called(self._rate, z, X, first)
-        return rates
+        return called(self._rate, z, X, first)
 
     def _rate(self, z: np.ndarray, X: np.ndarray, first: int) -> np.ndarray:
         out = np.zeros((self.linear.shape[1], z.shape[1]), np.result_type(z, X))
@@ -142,8 +141,7 @@ class RateTensors:
 
     def stress(self, z: np.ndarray, zeta: np.ndarray, first: int, stop: int) -> np.ndarray:
         """d(zeta : rate)/dX for X = first ... stop - 1, (X, points)."""
-        slopes: np.ndarray = called(self._stress, z, zeta, first, stop)
-        return slopes
+        return called(self._stress, z, zeta, first, stop)
 
     def _stress(self, z: np.ndarray, zeta: np.ndarray, first: int, stop: int) -> np.ndarray:
         out = np.zeros((stop - first, z.shape[1]), np.result_type(z, zeta))

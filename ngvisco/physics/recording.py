@@ -223,8 +223,7 @@ class Recorded(np.lib.mixins.NDArrayOperatorsMixin):
 
     @property
     def _array(self) -> np.ndarray:
-        array: np.ndarray = self.program.value(self.place)
-        return array
+        return self.program.value(self.place)
 
     @property
     def shape(self) -> tuple[int, ...]:

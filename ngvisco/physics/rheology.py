@@ -311,8 +311,7 @@ class LinearViscosity(Viscosity):
         return linear_map(full_tensor(self.mandel).reshape(9, 9), eps, (3, 3))
 
     def require_dimension(self, dim: int) -> None:
-        out_of_plane = full_tensor(self.mandel)[:2, 2, :2, :2]
-        if dim == 2 and np.abs(out_of_plane).max() > 0:
+        if dim == 2 and np.abs(full_tensor(self.mandel)[:2, 2, :2, :2]).max() > 0:
             expected = "entries D_13kl = D_23kl = 0 for plane strain rates, since the mesh has two dimensions"
             raise ParameterError("LinearViscosity.D", self.D, expected)
 

@@ -115,8 +115,7 @@ class FieldDiffusionRows:
         Each rank has the contributions of its own cells; columns are numbered as in ``unknowns``.
         """
         square = sum(L.T @ inverse_mass @ L for L in self._lifting)
-        penalty = widened(self._penalty, *square.shape)
-        return (self._delta * (square + penalty)).tocsr()
+        return (self._delta * (square + widened(self._penalty, *square.shape))).tocsr()
 
     def slopes(self, z_values: np.ndarray, c: Coefficients) -> dict[str, np.ndarray]:
         """The eliminated unknowns by name, (components, functions).

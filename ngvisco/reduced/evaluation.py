@@ -43,8 +43,7 @@ def shapes_of(step: Step) -> dict[str, tuple[int, ...]]:
 def on_sides(step: Step) -> list[str]:
     """Names of the unknowns with tests on facets: v, the fields in cells, and facet means of both sides."""
     means = (term.facet_mean for term in step.point_terms if term.facet_mean is not None)
-    density = [name for name in ("rho", "rho_hat") if name in step.layout.unknowns]
-    return ["v", *density, "z", *means]
+    return ["v", *[name for name in ("rho", "rho_hat") if name in step.layout.unknowns], "z", *means]
 
 
 def names_of(step: Step, inside: bool) -> tuple[list[str], list[str]]:
@@ -370,8 +369,7 @@ class FacetTerms(_Terms):
         parts[name] = Array(np.zeros((*shape, 1)), None)
         factors = self.factors([term], u)
         del parts[name]  # the next access reads the coefficients, which exist by then
-        loads: np.ndarray = called(self.op.of(name).loads, self._full(factors[name]))
-        return loads
+        return called(self.op.of(name).loads, self._full(factors[name]))
 
 
 def _fields(

@@ -163,8 +163,7 @@ class MatrixHyperviscosity:
             at_points = at_points * self.s_values(coefficient)
         loads = self.h_values.test(at_points)
         local["hyperstress"] = apply(self.h_inverse, loads)
-        stiffness = value_of(self.term.stiffness(on_sides))
-        rows = self.tested(loads) + sides.jump.test(stiffness * j)
+        rows = self.tested(loads) + sides.jump.test(value_of(self.term.stiffness(on_sides)) * j)
         return HyperValues(x, local, j, z, rows)
 
 

@@ -55,8 +55,7 @@ class OnePoint:
         gradients."""
         terms, read = list(terms), []
         for name in names:
-            size = self._shapes[name][0] if self._shapes[name] else 1
-            for i in range(size):
+            for i in range(self._shapes[name][0] if self._shapes[name] else 1):
                 if any(self._changes(term, name, i) for term in terms):
                     read.append((name, i))
         return read
@@ -146,8 +145,7 @@ def _require_dissipation(term: PointTerm, u: Fields) -> None:
         raise NotAtPointsError(_DISSIPATED.format(why(error))) from error
     for name, power in of_names.items():
         if not isinstance(power, Array):
-            reason = f"{name!r} is of type {type(power).__name__}"
-            raise NotAtPointsError(_DISSIPATED.format(reason))
+            raise NotAtPointsError(_DISSIPATED.format(f"{name!r} is of type {type(power).__name__}"))
 
 
 _DISSIPATED = (

@@ -124,8 +124,7 @@ class SideOperators(PointOperators):
     @property
     def normals(self) -> np.ndarray:
         """Unit outer normals of the cells at this part's points, (dim, points)."""
-        normals: np.ndarray = self.points.normals_of(self.places)
-        return normals
+        return self.points.normals_of(self.places)
 
     @property
     def inner(self) -> np.ndarray:

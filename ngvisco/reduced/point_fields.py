@@ -98,8 +98,7 @@ def incremented(u: Fields, **along: np.ndarray) -> Iterator[tuple[int, Fields]]:
     """
     values = {name: (u.grad_v if name == "grad_v" else u.parts[name]).value for name in along}
     first = next(iter(along))
-    points = values[first].shape[-1]
-    size = max(1, TOGETHER // max(points, 1))
+    size = max(1, TOGETHER // max(values[first].shape[-1], 1))
     for start in range(0, len(along[first]), size):
         changed = {name: repeated_along(values[name], d[start : start + size]) for name, d in along.items()}
         count = min(size, len(along[first]) - start)

@@ -100,8 +100,7 @@ class CellPart:
             (a.value * weights).reshape(*a.value.shape[:-1], op.z.cells, per).sum(axis=-1)
             for a, weights, per in parts
         )
-        volumes: np.ndarray = op.weights.reshape(op.z.cells, op.z.per_cell).sum(axis=1)
-        return total / volumes
+        return total / op.weights.reshape(op.z.cells, op.z.per_cell).sum(axis=1)
 
     def loads(self, c: Coefficients) -> dict[tuple[str, str], np.ndarray]:
         """Loads of all terms that are evaluated at points, in the cells and on their sides, by the place and
@@ -370,8 +369,7 @@ class ReducedResidual:
             return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
 
         def slope(part: CellPart, u: PartFields) -> np.ndarray:
-            loads: np.ndarray = called(part.inside.op.z.loads, self.slope(u[0].z.value))
-            return loads
+            return called(part.inside.op.z.loads, self.slope(u[0].z.value))
 
         c["zeta"] = called(apply, self.inverse_mass, joined(slope))
         for term, name in self.means_of_sides:
@@ -404,8 +402,7 @@ class ReducedResidual:
             self._of_forms.append((u.flow_slice, self.by_forms.jacobian(), np.arange(u.flow_slice.stop)))
         if self.density is not None:
             if self._density_of_all is None:
-                names = ["v", *u.density]
-                self._density_of_all = RestrictedForm(self.step, names, self.couplings.density)
+                self._density_of_all = RestrictedForm(self.step, ["v", *u.density], self.couplings.density)
             columns = np.r_[u.slices["v"], u.density_slice]
             rows = self._density_of_all.jacobian()[at.coefficients["v"].size :]
             self._of_forms.append((u.density_slice, rows, columns))

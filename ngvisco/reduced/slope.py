@@ -114,8 +114,7 @@ class PointwiseSlope:
             return
         for start in range(0, count, size := max(1, TOGETHER // max(1, points))):
             group = directions.T[start : start + size, :, None]
-            slopes = self.arrays(repeated_along(z_values, group))
-            yield from derivative_of(slopes, len(group)).swapaxes(0, 1)
+            yield from derivative_of(self.arrays(repeated_along(z_values, group)), len(group)).swapaxes(0, 1)
 
     def _answer(self, z_values: np.ndarray) -> Response:
         """The material's own response with lagged variables, kept for the same states."""

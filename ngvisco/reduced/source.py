@@ -5,7 +5,6 @@ from __future__ import annotations
 from ngsolve import FESpace, LinearForm
 
 from ngvisco.forms.fields import Fields, Tests
-from ngvisco.forms.mesh.integrand import Integrand
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import GivenParts, WithheldError
 from ngvisco.reduced.unknowns import Unknowns
@@ -31,8 +30,7 @@ class RightHandSide:
             tests, "a source has a row of {name}, which is not an iterated unknown of the split solver"
         )
         self._form = LinearForm(space)
-        integrands: list[Integrand] = step.sources.form(Fields(step.layout, u), Tests(step.layout, w))
-        step.quadrature.add(self._form, integrands)
+        step.quadrature.add(self._form, step.sources.form(Fields(step.layout, u), Tests(step.layout, w)))
 
     def start(self) -> None:
         """Assemble the rows for the present step."""

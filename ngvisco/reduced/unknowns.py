@@ -14,8 +14,7 @@ from ngvisco.parallel.exchange import Exchange
 def in_cells(layout: Layout) -> list[str]:
     """Names of the iterated unknowns that have values in cells, and zeta."""
     continuous = [name for name in layout.names_of("continuous") if layout.unknowns[name].space is None]
-    density = ["rho"] if "rho" in layout.unknowns else []
-    return ["v", *density, "z", "zeta", *continuous]
+    return ["v", *(["rho"] if "rho" in layout.unknowns else []), "z", "zeta", *continuous]
 
 
 def derived_in_cells(layout: Layout) -> list[str]:

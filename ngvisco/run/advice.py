@@ -326,8 +326,7 @@ def largest_velocity(simulation: RunState) -> float:
     moving = ranks.most(np.concatenate([np.zeros(1), *(abs(v).ravel() for v in walls)]))
     if len(velocities) > 1:
         return max(*velocities, moving)
-    start = math.sqrt(simulation.sampler.extrema(square(simulation.rothe_step.now.v))[1])
-    return given or max(start, moving)
+    return given or max(math.sqrt(simulation.sampler.extrema(square(simulation.rothe_step.now.v))[1]), moving)
 
 
 def _thickness(simulation: RunState) -> dict[str, float]:
@@ -343,6 +342,5 @@ def _thickness(simulation: RunState) -> dict[str, float]:
         if not ranks.any(bool(inside.any())):
             continue
         spans = [ranks.most(along[inside]) - ranks.least(along[inside]) for along in places.T]
-        cell = float(np.median(np.concatenate(ranks.gathered(sizes[inside]))))
-        extents[name] = min(spans) / cell
+        extents[name] = min(spans) / float(np.median(np.concatenate(ranks.gathered(sizes[inside]))))
     return extents

@@ -32,8 +32,7 @@ def check_arguments(observers: Any, walls: Any, passive: Any, sources: Any, term
 def require_methods(name: str, value: object, methods: Sequence[str], kind: str = "objects with") -> None:
     if isinstance(value, type) or not all(callable(getattr(value, method, None)) for method in methods):
         *first, last = methods
-        expected = f"{kind} the methods {', '.join(first)} and {last}"
-        raise ParameterError(f"Simulation.{name}", value, expected)
+        raise ParameterError(f"Simulation.{name}", value, f"{kind} the methods {', '.join(first)} and {last}")
 
 
 def _check_walls(walls: Any) -> None:

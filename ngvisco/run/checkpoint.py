@@ -130,8 +130,7 @@ class Checkpoints:
             file.attrs.update(identity(simulation) | self.attributes | {"units": UNITS})
             if self.chosen is not None:
                 content = np.frombuffer(self.chosen.image, dtype=np.uint8)
-                mesh = file.create_dataset("mesh", data=content, compression="gzip")
-                mesh.attrs["step"] = self.chosen.step
+                file.create_dataset("mesh", data=content, compression="gzip").attrs["step"] = self.chosen.step
             group = file.create_group("ledger")
             _store_table(group, simulation.ledger, unit)
             group.attrs[CLOSURES] = simulation.ledger.limits
@@ -146,8 +145,7 @@ class Checkpoints:
 
 def _store_table(group: h5py.Group, table: Series | Ledger, unit: Callable[[str], str]) -> None:
     for column in table.columns:
-        data = group.create_dataset(column, data=table.column(column))
-        data.attrs["unit"] = unit(column)
+        group.create_dataset(column, data=table.column(column)).attrs["unit"] = unit(column)
 
 
 def _store(group: h5py.Group, snapshot: Snapshot) -> None:

@@ -41,8 +41,7 @@ class Extremum:
 
 def _eigenvalues(rows: np.ndarray) -> np.ndarray:
     """Least eigenvalues of symmetric tensors, (points, 1), from rows of their entries."""
-    values: np.ndarray = np.linalg.eigvalsh(rows.reshape(-1, 3, 3))
-    return values[:, :1]
+    return np.linalg.eigvalsh(rows.reshape(-1, 3, 3))[:, :1]
 
 
 def _of_both_signs(rows: np.ndarray) -> np.ndarray:

@@ -288,8 +288,7 @@ def outline(axis: Any, X: np.ndarray, Y: np.ndarray, triangles: np.ndarray, frac
     area = 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
     cells = cells[area > _FLAT * area.max()]  # a section meets corners and edges of cells too
     is_cut = (values[cells].min(axis=1) < 0.5) & (values[cells].max(axis=1) > 0.5)
-    near = cells[np.isin(cells, cells[is_cut]).any(axis=1)]
-    mesh = tri.Triangulation(*points.T, near)
+    mesh = tri.Triangulation(*points.T, cells[np.isin(cells, cells[is_cut]).any(axis=1)])
     finer, smooth = tri.UniformTriRefiner(mesh).refine_field(values, subdiv=_HALVINGS)
     return axis.tricontour(finer, smooth, levels=[0.5], colors="white", linewidths=1.4)
 
@@ -301,5 +300,4 @@ def outlined(names: Sequence[str]) -> list[str]:
     body's outline consists of outlines of the other bodies.
     """
     before = list(names)[: list(names).index("body")] if "body" in names else []
-    backwards = takewhile(lambda name: name.endswith("_fraction"), reversed(before))
-    return list(backwards)[:0:-1]
+    return list(takewhile(lambda name: name.endswith("_fraction"), reversed(before)))[:0:-1]

@@ -216,8 +216,7 @@ class Ledger:
         values = self.state()
         if bad := [name for name, value in values.items() if not math.isfinite(value)]:
             raise InitialDataError(bad[0], f"the value is {values[bad[0]]}", "a finite value")
-        energy = energy_of(values)
-        self.balance = Balance(energy, values["mass"], values["mass"])
+        self.balance = Balance(energy_of(values), values["mass"], values["mass"])
         row = self._idle() | values | dict.fromkeys(("dt", "closure", "closure_relative", "mass_drift"), 0.0)
         row |= self.momentum.start(values)
         row |= {"time": time, "error_estimate": math.nan, **dict.fromkeys(("step", *_COUNTS), 0)}

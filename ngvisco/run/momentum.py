@@ -120,8 +120,7 @@ class Momentum:
 
     def forces(self) -> dict[str, float]:
         """Forces, N, and torques, N m, at the present stage, by the names of their impulses' columns."""
-        forces = {name: values.tolist() for name, values in self.impulses().items()}
-        return self._named(forces)
+        return self._named({name: values.tolist() for name, values in self.impulses().items()})
 
     def force_densities(self, u: Fields) -> dict[str, list[Integrand]]:
         """Integrands of ``forces`` at ``u``, by columns; walls' impulses are without the residual's rows."""

@@ -137,8 +137,7 @@ class Moments:
         means = products[0, 1:] / area
         spread = products[1:, 1:] / area - np.outer(means, means)
         second = spread[:2, :2]
-        gradient = spread[2:, :2] @ np.linalg.inv(second)
-        return cls(area, means[:2] + origin, second, gradient)
+        return cls(area, means[:2] + origin, second, spread[2:, :2] @ np.linalg.inv(second))
 
     def ellipse(self) -> tuple[float, float, float]:
         """Length L and breadth B, m, of the ellipse with these moments, and the angle of L with x, rad from

@@ -108,14 +108,12 @@ class Periods:
 
 def _combinations(vectors: np.ndarray) -> np.ndarray:
     """Sums of vectors, each with one of the signs 0, 1 and -1, (3^count, dim); the first is zero."""
-    sums: np.ndarray = np.array(list(product((0.0, 1.0, -1.0), repeat=len(vectors)))) @ vectors
-    return sums
+    return np.array(list(product((0.0, 1.0, -1.0), repeat=len(vectors)))) @ vectors
 
 
 def merged(count: int, pairs: list[np.ndarray]) -> np.ndarray:
     """Numbers of ``count`` points, (count,), that are equal for points that are images of each other."""
-    ends = np.concatenate([np.zeros((0, 2), dtype=int), *pairs])
-    return _components(count, ends)
+    return _components(count, np.concatenate([np.zeros((0, 2), dtype=int), *pairs]))
 
 
 def _components(count: int, ends: np.ndarray) -> np.ndarray:

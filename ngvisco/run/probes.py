@@ -109,8 +109,7 @@ class LineSamples(Series):
             raise ParameterError("LineSamples.end", b.tolist(), "a point that differs from start")
         share = np.linspace(0, 1, self.points)[:, None]
         where = (1 - share) * a + share * b
-        names = ["LineSamples.start", *["LineSamples.end"] * (self.points - 1)]
-        self._at = Located(mesh, where, names)
+        self._at = Located(mesh, where, ["LineSamples.start", *["LineSamples.end"] * (self.points - 1)])
         self._place = np.hstack([share * length, where])
         self._values, columns = _stacked(self, simulation)
         return ["s", *"xyz"[: mesh.dim], *columns]

@@ -59,8 +59,7 @@ class _Renumbering:
 
     def own(self, values: np.ndarray | None) -> np.ndarray:
         parts = None if values is None else [np.append(values, 0.0)[numbers] for numbers in self._parts]
-        part: np.ndarray = self._ranks.mpi.scatter(parts)
-        return part
+        return self._ranks.mpi.scatter(parts)
 
 
 class Numbering:

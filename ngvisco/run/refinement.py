@@ -80,8 +80,7 @@ class Refinement:
 
     def check(self, simulation: Simulation) -> None:
         """Raise MeshError, ParameterError or UnknownNameError unless meshes of a run can follow the field."""
-        mesh = simulation.mesh
-        if not simulation.ranks.all(is_simplicial(mesh)):
+        if not simulation.ranks.all(is_simplicial(simulation.mesh)):
             raise MeshError(
                 "expected a mesh of triangles or tetrahedra, since other cells cannot be bisected"
             )

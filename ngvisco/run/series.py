@@ -171,8 +171,7 @@ def read_columns(path: Path) -> dict[str, np.ndarray]:
     try:
         with path.open(newline="", encoding="utf-8") as file:
             head, *body = csv.reader(file)
-        rows = np.array(body, dtype=float).reshape(len(body), len(head))
-        return dict(zip(head, rows.T, strict=True))
+        return dict(zip(head, np.array(body, dtype=float).reshape(len(body), len(head)).T, strict=True))
     except (ValueError, csv.Error) as error:
         raise CheckpointError(
             f"{path}: this is not a table of numbers ({error}); move the file away to go on"

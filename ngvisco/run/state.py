@@ -61,8 +61,7 @@ class RunState:
         self.check_data(0.0)
         run_time.Set(0.0)  # start values and walls are evaluated at t = 0, also after other runs
         F_0 = set_initial(step, initial, self.sampler)
-        typical = time.velocity_scale or typical_velocity(step, self.sampler, self.dt)
-        self.set_velocity_scale(float(typical))
+        self.set_velocity_scale(float(time.velocity_scale or typical_velocity(step, self.sampler, self.dt)))
         self.bounds = Bounds(step, self.sampler, time.limiter, time.drift)
         self.solver = RotheSolver(step, options, self.bounds.refusal)
         closed = closure_limit(options.tolerance)

@@ -247,8 +247,7 @@ class FixedStepper:
 
     def met(self, time: float) -> float:
         """The end of a step, s, if one is within a thousandth of dt of ``time``; else ``time`` itself."""
-        number = round((time - self._start) / self.dt)
-        end = self._time(number * self._parts)
+        end = self._time(round((time - self._start) / self.dt) * self._parts)
         is_near = abs(end - time) <= _NEAR * self.dt and not math.isclose(end, time, rel_tol=_ROUNDING)
         return end if is_near else time
 

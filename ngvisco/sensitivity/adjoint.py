@@ -199,8 +199,7 @@ class Adjoint:
         for k in np.flatnonzero(stage.starts[:i]):
             self.starts.put(stage.starts, solutions[:i], int(k))
             loads[k] -= self.starts.transposed(adjoints - c)
-            of_means = stage.share * weights
-            loads[k] += self._seeds_of_start(of_means, stage.starts, solutions[:i], int(k))
+            loads[k] += self._seeds_of_start(stage.share * weights, stage.starts, solutions[:i], int(k))
 
     def _end(
         self,
@@ -234,8 +233,7 @@ class Adjoint:
             loads[-1] += np.where(is_v & ~self.free, combined, 0.0)
         kept = np.where(starts.evolving & ~is_v, combined, 0.0)
         for k in np.flatnonzero(recorded.weights):
-            moved = starts.momentum_transposed(solutions[k], adjoints - c)
-            loads[k] += recorded.weights[k] * (kept + moved)
+            loads[k] += recorded.weights[k] * (kept + starts.momentum_transposed(solutions[k], adjoints - c))
 
     def _impulses(
         self, number: int, recorded: RecordedStep, solutions: list[np.ndarray], loads: np.ndarray

@@ -73,8 +73,7 @@ class BodySlopes:
                 return tractions.shares(name, fields)[quantity]
 
             return self._quotient(name, self.variations.of_fields(share), share(self.variations.fields))
-        of_state = self.table.densities(name, self.variations.trial)[quantity]
-        slope = self.variations.of(Integrand(of_state))
+        slope = self.variations.of(Integrand(self.table.densities(name, self.variations.trial)[quantity]))
         if quantity in _QUOTIENTS:
             return self._quotient(name, slope, self.table.densities(name, self.step.now)[quantity])
         return slope

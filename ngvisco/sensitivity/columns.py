@@ -191,8 +191,7 @@ class Columns:
     def at_end(self, means: np.ndarray, of_state: np.ndarray, tau: float) -> np.ndarray:
         """The columns at the end of a step of length ``tau``, from means and the result of ``state``, or from
         derivatives of both."""
-        of_stages = np.where(self.is_of_steps, tau * means, means)
-        return np.where(self.is_of_stages, of_stages, of_state)
+        return np.where(self.is_of_stages, np.where(self.is_of_steps, tau * means, means), of_state)
 
     def state(self) -> np.ndarray:
         """Values of the columns at a step's end, the present state, (columns,); zero for means over

@@ -330,8 +330,7 @@ class _Search:
                 raise ParameterError("fit.bounds", self.bounds.tolist(), *expected) from error
         except StopRequested as error:
             after = "" if self._restart is None else f"; a repeated call goes on from {self._restart.folder}"
-            message = f"the fit was stopped in run {self.runs + 1}, as requested{after}"
-            raise StopRequested(message) from error
+            raise StopRequested(f"the fit was stopped in run {self.runs + 1}, as requested{after}") from error
         self.runs, self.spent = self.runs + 1, self.spent + clock.process_time() - begin
         self._keep(q, result)
         if self.progress is not None:
@@ -342,8 +341,7 @@ class _Search:
 
     def _residuals(self, outcome: Gradient) -> np.ndarray:
         data, sigma = (np.concatenate(list(columns.values())) for columns in (self.data, self.sigma))
-        result: np.ndarray = (outcome.values - data) / sigma
-        return result
+        return (outcome.values - data) / sigma
 
     def residuals(self, q: np.ndarray) -> np.ndarray:
         """Residuals over standard deviations; infinite if the run has no solution."""
@@ -355,8 +353,7 @@ class _Search:
         outcome = self._at(q)
         assert outcome is not None  # the search has accepted this point
         _, slopes = self._outer(q)
-        result: np.ndarray = outcome.jacobian / np.concatenate(list(self.sigma.values()))[:, None] * slopes
-        return result
+        return outcome.jacobian / np.concatenate(list(self.sigma.values()))[:, None] * slopes
 
     def run(self, tolerance: float) -> Fit:
         """Search for the least sum of squares."""
@@ -372,8 +369,7 @@ class _Search:
         best = min(tried, key=lambda result: float(np.sum(self._residuals(result) ** 2)))
         p, cost = best.at, 0.5 * float(np.sum(self._residuals(best) ** 2))
         J = best.jacobian / np.concatenate(list(self.sigma.values()))[:, None]
-        free = max(len(self.of) - len(p), 1)
-        reduced = 2 * cost / free
+        reduced = 2 * cost / max(len(self.of) - len(p), 1)
         if self.is_estimated:  # scales by the estimated deviation
             self.sigma = {name: values * np.sqrt(reduced) for name, values in self.sigma.items()}
             J, scale = J / np.sqrt(reduced or 1.0), reduced or 1.0
@@ -419,8 +415,7 @@ def _covariance(J: np.ndarray) -> np.ndarray:
     _, sizes, V = np.linalg.svd(J / lengths, full_matrices=False)
     if sizes[-1] < _UNDETERMINED * sizes[0]:
         return np.full((J.shape[1], J.shape[1]), np.inf)
-    result: np.ndarray = (V.T / sizes**2) @ V / np.outer(lengths, lengths)
-    return result
+    return (V.T / sizes**2) @ V / np.outer(lengths, lengths)
 
 
 def _deviation(sigma: float | Mapping[str, float] | None, name: str, values: np.ndarray) -> float:

@@ -32,8 +32,7 @@ class Follower:
     @property
     def state(self) -> np.ndarray:
         """Coefficients of the present state, as a view."""
-        values: np.ndarray = self.step.state.vec.FV().NumPy()
-        return values
+        return self.step.state.vec.FV().NumPy()
 
     def evolved(self, state: np.ndarray) -> Evolved:
         """Quantities of a state that have a time derivative."""
@@ -187,12 +186,10 @@ class Follower:
     def _momentum_rows(self) -> np.ndarray:
         self.momentum.Apply(self.step.state.vec, self._residual)
         self._functional.Assemble()
-        rows: np.ndarray = self._residual.FV().NumPy() - self._functional.vec.FV().NumPy()
-        return rows
+        return self._residual.FV().NumPy() - self._functional.vec.FV().NumPy()
 
     @cached_property
     def free_velocity(self) -> np.ndarray:
         """Mask of the coefficients of v that no wall prescribes."""
         free = np.array(list(self.step.layout.space.FreeDofs()))
-        mask: np.ndarray = free[self.step.layout.ranges["v"]]
-        return mask
+        return free[self.step.layout.ranges["v"]]

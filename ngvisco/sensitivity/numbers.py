@@ -111,8 +111,7 @@ class Misfit:
 
     def residuals(self, values: np.ndarray) -> np.ndarray:
         """Differences of ``values`` from the data, in units of the standard deviations."""
-        result: np.ndarray = (values - np.array(list(self.data.values()))) / np.asarray(self.sigma)
-        return result
+        return (values - np.array(list(self.data.values()))) / np.asarray(self.sigma)
 
 
 @dataclass(frozen=True)

@@ -49,8 +49,7 @@ class OutlineSlopes:
         """grad theta in each triangle, (triangles, 2)."""
         edges = self.places[:, 1:] - self.places[:, :1]
         rises = self.theta[:, 1:] - self.theta[:, :1]
-        slopes: np.ndarray = np.linalg.solve(edges, rises[:, :, None])[:, :, 0]
-        return slopes
+        return np.linalg.solve(edges, rises[:, :, None])[:, :, 0]
 
     @property
     def _triangles(self) -> np.ndarray:
@@ -76,8 +75,7 @@ class OutlineSlopes:
         shares, values = inside[:, :, _SHARES], f(inside)
         products = np.einsum("tk,ta->tka", shares.sum(axis=1), values.sum(axis=1))
         products += np.einsum("tck,tca->tka", shares, values)
-        numbers = np.rint(inside[:, 0, -1]).astype(int)
-        np.add.at(result, numbers, areas[:, None, None] / 12 * products)
+        np.add.at(result, np.rint(inside[:, 0, -1]).astype(int), areas[:, None, None] / 12 * products)
         return result
 
     def of_ends(self, weights: np.ndarray) -> Corners:
@@ -125,8 +123,7 @@ class OutlineSlopes:
     def _mean_velocity(self) -> np.ndarray:
         inside = self.cut.inside
         areas = 0.5 * abs(np.linalg.det(inside[:, 1:, _PLACE] - inside[:, :1, _PLACE]))
-        mean: np.ndarray = areas @ inside[:, :, _VELOCITY].mean(axis=1) / areas.sum()
-        return mean
+        return areas @ inside[:, :, _VELOCITY].mean(axis=1) / areas.sum()
 
     def deformation(self, column: str) -> Corners:
         """Slopes of ``"L"``, ``"B"``, ``"D"`` or ``"angle"`` of the ellipse of inertia.

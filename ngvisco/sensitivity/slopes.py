@@ -85,8 +85,7 @@ class Slopes:
             elif isinstance(table, WallForces):
                 for name in set(self.rows.forces) & set(columns) & set(names):
                     wall, motion = name.rsplit(".", 1)
-                    beside = table.reactions.beside_the_rows(wall, motion, trial)
-                    slopes[name] = variations.of(*beside)
+                    slopes[name] = variations.of(*table.reactions.beside_the_rows(wall, motion, trial))
             elif isinstance(table, Bodies):
                 bodies = BodySlopes(table, variations)
                 slopes |= {name: bodies.of(name) for name in names if name in columns}
@@ -94,8 +93,7 @@ class Slopes:
         slopes |= self._norms(variations)
         momentum = follower.simulation.ledger.momentum
         if forces := [name for name in names if name in momentum.of_steps]:
-            densities = momentum.force_densities
-            slopes |= variations.of_integrands(densities, forces)
+            slopes |= variations.of_integrands(momentum.force_densities, forces)
         return slopes | {name: variations.of(integrands[name]) for name in names if name in integrands}
 
     def _reading_start(self) -> set[str]:

@@ -57,8 +57,7 @@ class Starts:
         y = Fields(layout, trial)
         u = step.fields_from(old, self._other_momentum + weight * (y.rho * y.v))
         context = AskedContext(u.context)
-        fields = Fields(layout, u.parts, cast(Context, context))
-        return fields, lambda: not _READ.isdisjoint(context.names)
+        return Fields(layout, u.parts, cast(Context, context)), lambda: not _READ.isdisjoint(context.names)
 
     @cached_property
     def variations(self) -> Variations:

@@ -230,8 +230,7 @@ class _Tangent:
                     recorded, [*self._states[i], follower.evolved(moved[i])]
                 )
             )
-        values = self._columns_at(recorded.after)
-        return columns.at_end(self._mean, values, recorded.tau), self._mean
+        return columns.at_end(self._mean, self._columns_at(recorded.after), recorded.tau), self._mean
 
     def _combine(self, recorded: RecordedStep, linearised: Linearised) -> None:
         v = self.near.followers[0].step.layout.ranges["v"]

@@ -220,8 +220,7 @@ class Trajectory:
         lengths = (c.tau.Get(), self._t, time.Get(), *c.loads_window)
         stresses = {name: f.vec.FV().NumPy().copy() for name, f in step.stresses.functions.items()}
         state = step.state.vec.FV().NumPy().copy()
-        stage = Stage(state, np.array(weights), share, Interval(*lengths), stresses)
-        self._stages.append(stage)
+        self._stages.append(Stage(state, np.array(weights), share, Interval(*lengths), stresses))
 
     def end(self, weights: np.ndarray) -> None:
         """Record the accepted step with the present state as its end."""

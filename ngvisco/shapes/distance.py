@@ -88,5 +88,4 @@ def _set(function: GridFunction, places: Places, values: np.ndarray) -> None:
         unit.vec.FV().NumPy()[:] = 0.0
         unit.vec.FV().NumPy()[at[:, j]] = 1.0
         matrix[:, :, j] = places.values(unit).reshape(cells, count)
-    solved = np.linalg.solve(matrix, values.reshape(cells, count, 1))
-    function.vec.FV().NumPy()[at] = solved[:, :, 0]
+    function.vec.FV().NumPy()[at] = np.linalg.solve(matrix, values.reshape(cells, count, 1))[:, :, 0]

@@ -68,8 +68,7 @@ class ClosedSurface(Shape):
             raise ParameterError(
                 "ClosedSurface.path", self.path, "a file of a surface that encloses a volume"
             )
-        inward = _inward(corners, part, volumes)
-        return np.where(inward[part][:, None, None], corners[:, ::-1], corners)
+        return np.where(_inward(corners, part, volumes)[part][:, None, None], corners[:, ::-1], corners)
 
     def level(self, at: Places) -> np.ndarray:
         if at.mesh.dim != 3:
@@ -127,16 +126,14 @@ def _connected_parts(path: str | os.PathLike[str], corners: np.ndarray, size: fl
     places = np.round(corners.reshape(-1, 3) / (_SAME * size)).astype(np.int64)
     _, numbers = np.unique(places, axis=0, return_inverse=True)
     triangles = numbers.reshape(-1, 3)
-    corners_of_each = np.sort(triangles, axis=1)
-    if twice := len(triangles) - len(np.unique(corners_of_each, axis=0)):
+    if twice := len(triangles) - len(np.unique(np.sort(triangles, axis=1), axis=0)):
         expected = (
             f"a file with each triangle once, but {twice} of the {len(triangles)} triangles are repeated"
         )
         raise ParameterError("ClosedSurface.path", path, expected)
     whole = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)  # excludes triangles collapsed to a line
     edges = np.concatenate([triangles[whole][:, [i, (i + 1) % 3]] for i in range(3)])
-    key = edges.min(axis=1) * (numbers.max() + 1) + edges.max(axis=1)
-    _, where = np.unique(key, return_inverse=True)
+    _, where = np.unique(edges.min(axis=1) * (numbers.max() + 1) + edges.max(axis=1), return_inverse=True)
     where = where.reshape(-1)
     sense = np.bincount(where, weights=np.sign(edges[:, 1] - edges[:, 0]))
     open_edges = int(np.count_nonzero(sense))
@@ -196,8 +193,7 @@ def _distances(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
     result = np.full(len(points), np.inf)
     for ray in _RAYS:
         for members, _, above in _met(triangles, points, ray):
-            nearest = np.nanmin(np.abs(above), axis=1, initial=np.inf)
-            result[members] = np.minimum(result[members], nearest)
+            result[members] = np.minimum(result[members], np.nanmin(np.abs(above), axis=1, initial=np.inf))
     return result
 
 

@@ -131,8 +131,7 @@ def _levels(
     """Levels of the shapes at the reference points ``corners`` of cells, (shapes, cells, corners)."""
     middle = corners.mean(axis=0)
     places = Places(mesh, cells, middle + (1 - _INSET) * (corners - middle), pieces)
-    levels = [shape.level(places) for shape in shapes]
-    return np.array(levels).reshape(len(shapes), len(cells), len(corners))
+    return np.array([shape.level(places) for shape in shapes]).reshape(len(shapes), len(cells), len(corners))
 
 
 def _layered(shares: np.ndarray) -> np.ndarray:

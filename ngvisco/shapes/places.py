@@ -83,8 +83,7 @@ def mesh_points(mesh: Mesh, cells: np.ndarray, reference: np.ndarray) -> np.ndar
     # a point made by NGSolve serves as a pattern, because it contains the mesh's address
     types = (ET.TRIG, ET.QUAD) if mesh.dim == 2 else (ET.TET,)
     rule = IntegrationRule([(0.25,) * mesh.dim], [1.0])
-    pattern = mesh.MapToAllElements({et: rule for et in types}, VOL)[:1]
-    points = np.repeat(pattern, len(cells))
+    points = np.repeat(mesh.MapToAllElements({et: rule for et in types}, VOL)[:1], len(cells))
     points["nr"] = cells
     for axis, name in enumerate("xyz"[: mesh.dim]):
         points[name] = reference[:, axis]

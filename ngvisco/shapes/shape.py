@@ -160,8 +160,7 @@ class Block(Shape):
 
     def level(self, at: Places) -> np.ndarray:
         require_dim("Block.low", self.low, at.mesh)
-        inside = np.minimum(at.coordinates - self.low, np.array(self.high) - at.coordinates)
-        return inside.min(axis=1)
+        return np.minimum(at.coordinates - self.low, np.array(self.high) - at.coordinates).min(axis=1)
 
 
 @dataclass(frozen=True)
@@ -317,8 +316,7 @@ def as_shape(field: str, value: object) -> Shape:
     # a grid function is a coefficient function as well
     if isinstance(value, (CoefficientFunction, GridFunction)) and value.dim == 1:
         return Where(value)
-    expected = "a shape, or a scalar coefficient function that is positive inside"
-    raise ParameterError(field, value, expected)
+    raise ParameterError(field, value, "a shape, or a scalar coefficient function that is positive inside")
 
 
 def require_dim(field: str, value: Sequence[float], mesh: Mesh) -> None:

@@ -293,8 +293,7 @@ class Newton:
     def _stalled(self) -> Status:
         """The status of an iteration that ends because no step length reduces the present increment."""
         self._trial_residual.data = self._residual
-        size = self.norm(self._increment, self.state)
-        if not size <= NOISE_MARGIN * self._noise():
+        if not self.norm(self._increment, self.state) <= NOISE_MARGIN * self._noise():
             return Status.STALLED
         coarse = self.norm(self._increment, self.state, coarse=True)
         return Status.CONVERGED if coarse <= NOISE_CAP * self.options.tolerance else Status.ROUNDING

@@ -240,8 +240,7 @@ class RotheSolver:
         return False
 
     def _velocity(self, vector: BaseVector) -> np.ndarray:
-        values: np.ndarray = vector.FV().NumPy()[self.step.layout.ranges["v"]]
-        return values
+        return vector.FV().NumPy()[self.step.layout.ranges["v"]]
 
     def _courant(self, interval: Interval, values: BaseVector) -> float:
         """The Courant number |v| tau/h of the largest coefficient and the smallest cell."""

@@ -249,8 +249,7 @@ class Integrator:
         limiting makes on walls' rows of v.
         """
         step, ranges = self.step, self.step.layout.ranges
-        parts = list(zip(weights, states, strict=True))
-        step.start_from(parts)  # combines the momentum and the fields
+        step.start_from(list(zip(weights, states, strict=True)))  # combines the momentum and the fields
         state, old = step.state.vec.FV().NumPy(), step.state_old.vec.FV().NumPy()
         for name in step.layout.evolving:
             state[ranges[name]] = old[ranges[name]]

@@ -122,8 +122,7 @@ class WallProjection:
 
     def _normal_velocity(self, v: np.ndarray) -> np.ndarray:
         """Values (v . n, mu) for all coefficients of v, (multipliers,)."""
-        result: np.ndarray = self._constraint @ v[self.free] + self._prescribed @ v[~self.free]
-        return result
+        return self._constraint @ v[self.free] + self._prescribed @ v[~self.free]
 
     def completed(self, v: np.ndarray) -> np.ndarray:
         """The free coefficients nearest to those of v with which v satisfies the walls' condition."""

@@ -78,8 +78,7 @@ class Impenetrability(PointTerm):
             names = ", ".join(map(repr, self._walls.multiplied))
             expected = f"2 or 3, since a multiplier imposes v.n = 0 on the oblique or curved walls {names}"
             raise ParameterError("Discretisation.k", setting.k, expected)
-        space = partial(self._walls.multiplier_space, k=setting.k)
-        return (Unknown("wall_stress", "walls", space=space),)
+        return (Unknown("wall_stress", "walls", space=partial(self._walls.multiplier_space, k=setting.k)),)
 
     @property
     def impulse(self) -> str:
@@ -294,8 +293,7 @@ class Carried(OnWall):
 
     def on_body(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         """The term that ``backflow`` adds, -1/2 j v . w where matter flows in."""
-        flux = self._carried_momentum(u) - self._mass_flux(u)
-        return [0.5 * flux * (u.v * w.v)] if self.backflow else []
+        return [0.5 * (self._carried_momentum(u) - self._mass_flux(u)) * (u.v * w.v)] if self.backflow else []
 
     def entries(self, u: Fields) -> list[Entry]:
         name, normal_velocity, inward, flux = (

@@ -226,8 +226,7 @@ class MovingWalls:
     def constrained(layout: Layout, regions: Sequence[Region | None]) -> np.ndarray:
         """Mask of the coefficients of v_i on the i-th of the regions."""
         free = mask_of(layout.velocity_space(regions).FreeDofs())
-        unconstrained = mask_of(layout.velocity_space((None,) * layout.mesh.dim).FreeDofs())
-        return unconstrained & ~free
+        return mask_of(layout.velocity_space((None,) * layout.mesh.dim).FreeDofs()) & ~free
 
     def set_values(self) -> None:
         """Write the Rothe step's constrained coefficients of v into the state."""

@@ -114,8 +114,7 @@ def _on_wall(mesh: Mesh, point: np.ndarray, name: str) -> Any:
     centres = [vertices[[v.nr for v in cell.vertices]].mean(axis=0) for cell in cells]
     for pull in _PULLS:
         for centre in centres:
-            pulled = point + pull * (centre - point)
-            place = mesh(*pulled[:, None])[0]
+            place = mesh(*(point + pull * (centre - point))[:, None])[0]
             if place["nr"] >= 0:
                 return place
     size = np.ptp(vertices, axis=0).max()

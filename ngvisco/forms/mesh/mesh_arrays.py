@@ -126,8 +126,7 @@ def facets_of_walls(mesh: Mesh) -> np.ndarray:
 
 def boundary_facets(mesh: Mesh) -> np.ndarray:
     """Mask of facets with a boundary element: walls, identified boundaries, interfaces; (facets,)."""
-    space = FacetFESpace(mesh, order=0)
-    return mask_of(space.GetDofs(mesh.Boundaries(".*")))
+    return mask_of(FacetFESpace(mesh, order=0).GetDofs(mesh.Boundaries(".*")))
 
 
 def periodic_facets(mesh: Mesh) -> set[int]:

@@ -75,8 +75,7 @@ class CellPoints:
         return self._loads(CF(1.0))
 
     def _loads(self, value: CoefficientFunction) -> np.ndarray:
-        form = LinearForm(value * self.space.TestFunction() * self.dx)
-        return form.Assemble().vec.FV().NumPy().copy()
+        return LinearForm(value * self.space.TestFunction() * self.dx).Assemble().vec.FV().NumPy().copy()
 
     def values(self, space: FESpace) -> sp.csr_matrix:
         """The matrix that takes coefficients of a scalar space to values at the points."""

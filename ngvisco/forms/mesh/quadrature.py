@@ -84,8 +84,7 @@ class Quadrature:
         degree = max(2 * k + m + 1, 2 * m + k) + bonus
         degree += degree % 2
         # transport on facets needs 2m + 1 for its order; see SYMMETRIC_DEGREE
-        of_facets = degree if mesh.dim == 2 else min(degree, SYMMETRIC_DEGREE)
-        return cls(mesh, degree, of_facets, m, symmetry)
+        return cls(mesh, degree, degree if mesh.dim == 2 else min(degree, SYMMETRIC_DEGREE), m, symmetry)
 
     @property
     def collocation_order(self) -> int:
@@ -162,8 +161,7 @@ class Quadrature:
     def each_cell(self, integrand: CoefficientFunction) -> np.ndarray:
         """Integrals of a scalar over the cells of this rank by the rule of ``cells``, (cells,)."""
         weighed = self._in_cells(integrand)
-        of_cells = Integrate(weighed, self.mesh, order=self.volume_degree, element_wise=True)
-        return np.array(of_cells.NumPy())
+        return np.array(Integrate(weighed, self.mesh, order=self.volume_degree, element_wise=True).NumPy())
 
     def integrate_collocated(self, integrand: CoefficientFunction) -> Any:
         """Integral over the mesh, by the rule of ``collocated``."""
@@ -180,8 +178,7 @@ class Quadrature:
 
 def values_of(function: GridFunction) -> np.ndarray:
     """Values of a grid function at points, (components, points), as a view."""
-    values = function.vec.FV().NumPy()
-    return values.reshape(len(function.components) or 1, -1)
+    return function.vec.FV().NumPy().reshape(len(function.components) or 1, -1)
 
 
 VARIABLE = "NGVISCO_COMPILE"

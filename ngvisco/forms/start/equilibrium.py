@@ -162,8 +162,7 @@ class Column:
             for name in self.laws:
                 self._invert(name)
             values = self.p.vec.FV().NumPy().copy()
-            size = ranks.most(abs(values))
-            if ranks.most(abs(values - last)) <= _CONVERGED * size:
+            if ranks.most(abs(values - last)) <= _CONVERGED * ranks.most(abs(values)):
                 break
             last = values
         else:

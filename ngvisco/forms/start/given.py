@@ -35,8 +35,7 @@ class QuadraturePoints:
     def _loaded(self, value: CoefficientFunction) -> np.ndarray:
         load = LinearForm(self._space)
         load += self._integral(value * self._space.TestFunction())
-        loaded: np.ndarray = load.Assemble().vec.FV().NumPy()[self._here]
-        return loaded
+        return load.Assemble().vec.FV().NumPy()[self._here]
 
     def values(self, f: CoefficientFunction) -> np.ndarray:
         """Values of a scalar function at the points, (points,)."""

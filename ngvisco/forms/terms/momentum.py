@@ -274,5 +274,4 @@ class Loading(PointTerm):
         return [-inner(self.force(u), w.v)]
 
     def entries(self, u: Fields) -> list[Entry]:
-        power = Integrand(inner(self.force(u), u.v))
-        return [Entry(f"power_{self.load.name}", "power", power)]
+        return [Entry(f"power_{self.load.name}", "power", Integrand(inner(self.force(u), u.v)))]

@@ -110,13 +110,11 @@ class FieldDiffusion(PointTerm):
         """
         weight, jump, across = self._weight(u), u.zeta_delta_hat - u.zeta, self._across(u)
         facets = [*self.lifting(u, w, jump), inner(across, w.z_slope_hat), -weight * inner(jump, w.zeta)]
-        cells = -inner(u.grad_zeta, w.z_slope)
-        return [Integrand(cells), *(Integrand(facets=part) for part in facets)]
+        return [Integrand(-inner(u.grad_zeta, w.z_slope)), *(Integrand(facets=part) for part in facets)]
 
     def lifting(self, u: Fields, w: Fields, jump: CoefficientFunction) -> list[CoefficientFunction]:
         """Facet integrands: the trace's equation, a mean, and the lifting of the ``jump`` to the trace."""
-        n = u.context.normal
-        return [self._weight(u) * inner(jump, w.zeta_delta_hat), -inner(jump, w.z_slope * n)]
+        return [self._weight(u) * inner(jump, w.zeta_delta_hat), -inner(jump, w.z_slope * u.context.normal)]
 
     def dissipated(self, u: Fields) -> dict[str, CoefficientFunction]:
         """The form at G = zeta, written as a square if all variables are strains."""
@@ -130,8 +128,7 @@ class FieldDiffusion(PointTerm):
         if not self.curvature.strains.all():
             return {DELTA_FIELDS: reduce(add, self._through_facets(u, self._across(u), jump, u.zeta))}
         curved = self.curvature.compliance - self.curvature.compliance @ self.curvature.linear
-        size = inner(constant(curved) * jump, jump)
-        return {DELTA_FIELDS: self.law.delta_fields * self._weight(u) * size}
+        return {DELTA_FIELDS: self.law.delta_fields * self._weight(u) * inner(constant(curved) * jump, jump)}
 
     def _curved(self, u: Fields, test: CoefficientFunction) -> list[CoefficientFunction]:
         """Summands of phi''(z) q : Y, and of q : Y for parameters and directions in which phi is linear."""

@@ -207,8 +207,7 @@ class Conjugates(PointTerm):
         """Monitor of the quadratic regularisation's share in the stored energy; the term has no power."""
         material = self.model.material
         if isinstance(material, WithQuadratic):
-            added = Integrand(material.added_energy(u.z_tensors))
-            return [Entry("stored_quadratic", "monitor", added)]
+            return [Entry("stored_quadratic", "monitor", Integrand(material.added_energy(u.z_tensors)))]
         return []
 
 

@@ -372,8 +372,7 @@ class Composite(FlowRule):
             if rule.hardening is not None:
                 expected = "0, no hardening, since a sum of rules has no plastic strain of a single rule"
                 name = "Q" if rule.hardening.H == 0 else "H"
-                value = getattr(rule.hardening, name)
-                raise ParameterError(f"Composite.rules[{i}].{name}", value, expected)
+                raise ParameterError(f"Composite.rules[{i}].{name}", getattr(rule.hardening, name), expected)
 
     def rate(self, M: Tensor, zeta: Tensor | None, z: Values) -> Tensor:
         return reduce(add, (rule.rate(M, zeta, z) for rule in self.rules if rule.flows))

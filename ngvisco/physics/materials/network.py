@@ -106,8 +106,7 @@ class Network(Material):
             if not name.isidentifier():
                 raise ParameterError("Network.branches", name, "names of letters, digits and _")
             for part, fault in _faults(branch):
-                field = f"Network.branches[{name!r}].{part}"
-                raise ParameterError(field, attrgetter(part)(branch), fault)
+                raise ParameterError(f"Network.branches[{name!r}].{part}", attrgetter(part)(branch), fault)
         object.__setattr__(self, "branches", _Parts(self.branches))
         _ = self.variables  # raises ParameterError if variables of branches contradict each other
         self._check_names()
@@ -178,8 +177,7 @@ class Network(Material):
             new_names = {v.name: new.name for v, new in self._renamed(name)}
             names |= {new_names[name] for name in branch.material.continued if name in new_names}
         # a shared variable is continued only if all branches that have it continue their energies
-        ends = {v.name for b in self.parts.values() for v in b.material.variables if not v.creeps}
-        for shared in ends:
+        for shared in {v.name for b in self.parts.values() for v in b.material.variables if not v.creeps}:
             with_it = [b.material for b in self.parts.values() if _carries(b.material, shared)]
             if all(shared in material.continued for material in with_it):
                 names.add(shared)

@@ -164,5 +164,4 @@ def _scaled(material: Any, share: float, keeps_bulk: bool) -> Material:
         changes |= {name: 0.0 for name in _BULK if hasattr(material, name)}
         if hasattr(material, "J_min"):
             changes["J_min"] = None
-    scaled: Material = replace(material, **changes)
-    return scaled
+    return replace(material, **changes)

@@ -157,8 +157,7 @@ class WithQuadratic(Wrapper):
 
     def added_energy(self, z: Values) -> Tensor:
         """The added energy sqrt(delta)/2 sum_i |z_i|^2, Pa."""
-        squares = [inner(z[name], z[name]) for name in self._regularised]
-        return 0.5 * self.delta**0.5 * reduce(add, squares)
+        return 0.5 * self.delta**0.5 * reduce(add, [inner(z[name], z[name]) for name in self._regularised])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -243,9 +242,8 @@ class _Approximation:
             z, where = states[finite][solved], finite[solved]
             S, H = at_y.slope[solved], at_y.hessian[solved]
             root = np.sqrt(self.weights)
-            system = np.eye(size) + root[:, None] * H * root
             # a convex energy has eigenvalues >= 1
-            definite = np.linalg.eigvalsh(system)[:, 0] > 0
+            definite = np.linalg.eigvalsh(np.eye(size) + root[:, None] * H * root)[:, 0] > 0
             where, z, S, H = (a[definite] for a in (where, z, S, H))
             H = np.linalg.solve(np.eye(size) + H * self.weights, H)
             H = 0.5 * (H + H.transpose(0, 2, 1))

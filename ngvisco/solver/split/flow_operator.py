@@ -292,8 +292,7 @@ class FlowSchurComplement:
         if hyper is not None and at.hyper is not None:
             with self.residual.ranks.together(np.linalg.LinAlgError):
                 hyper_tangent = hyper.update(at.hyper)
-        rows = [self._rows_of(hyper_tangent, i, dtype) for i in range(d)]
-        matrix = stacked(rows)
+        matrix = stacked([self._rows_of(hyper_tangent, i, dtype) for i in range(d)])
         matrix.resize((self.size, self.size))
         if self.rest is not None:
             matrix = (matrix + self.rest).tocsr()

@@ -56,8 +56,7 @@ class HyperDerivative:
         the cell's sides.
         """
         parts = (self.hyper.lift.matrix, self.sides.jump.at_nodes)
-        numbers = np.arange(sum(part.shape[0] for part in parts))
-        of_parts = np.split(numbers, [parts[0].shape[0]])
+        of_parts = np.split(np.arange(sum(part.shape[0] for part in parts)), [parts[0].shape[0]])
         order = [rows.reshape(self.cells, len(rows) // max(self.cells, 1)) for rows in of_parts]
         both = sp.vstack(parts, format="csr")[np.concatenate(order, axis=1).ravel()]
         return LocalMatrix(both, self.cells, dtype=self.dtype)

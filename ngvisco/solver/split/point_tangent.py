@@ -391,5 +391,4 @@ def at_points(matrices: np.ndarray, values: np.ndarray) -> np.ndarray:
 def radius_of(u: Fields) -> np.ndarray | None:
     """The radius r of a body of revolution at the points, (points,); None for other bodies."""
     radius = u.layout.symmetry.radius
-    radius_here: np.ndarray | None = None if radius is None else u.context.given(radius).value
-    return radius_here
+    return None if radius is None else u.context.given(radius).value

@@ -70,8 +70,7 @@ class Split:
         self.step, self.norm, self.options = step, norm, options
         self.is_factorised = False
         return_large_arrays()
-        workers = Workers(options.threads, exchange.communicator.size)
-        self.residual = ReducedResidual(step, exchange, workers)
+        self.residual = ReducedResidual(step, exchange, Workers(options.threads, exchange.communicator.size))
         self.unknowns = self.residual.unknowns
         self.preconditioner = Preconditioner(self.residual, options)
         self._turned = 0.0

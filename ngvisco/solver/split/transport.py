@@ -40,8 +40,7 @@ class CellBlocks:
     def __init__(self, diagonal: np.ndarray, across: np.ndarray, coupling: FacetCoupling) -> None:
         """``diagonal`` and ``across`` are blocks as ``FacetCoupling.blocks`` returns, or rectangular ones."""
         self._coupling = coupling
-        blocks = np.concatenate([diagonal, _side_by_side(across)], axis=2)
-        self._rows = blocks.astype(precision.SINGLE)
+        self._rows = np.concatenate([diagonal, _side_by_side(across)], axis=2).astype(precision.SINGLE)
 
     def product(self, values: np.ndarray) -> np.ndarray:
         """The matrix times ``values`` (cells, q, n)."""
