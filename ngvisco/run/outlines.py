@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 _CHUNK = 1_000_000
 """Number of pairs of points and segments in one array."""
 _BEARING = 1.5
-"""Distance, in cells, up to which two places of an outline that face each other bear each other: two lips
+"""Distance, in cells, up to which two places of an outline that face each other transmit forces: two lips
 that are pressed together rest at 1.4 cells."""
 _OPPOSITE = 0.8
 """Two places of an outline face each other if the cosine of the angles between outward normal and direction

@@ -1,4 +1,4 @@
-"""Warns of a body two parts of whose surface bear each other before they touch."""
+"""Warns of a body two parts of whose surface transmit forces before they touch."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _MOVED = 0.25
 
 
 class SelfContactWarning(NgviscoWarning):
-    """Two parts of a body's surface are less than 1.5 cells apart: they bear each other before they touch."""
+    """Two parts of a body's surface are less than 1.5 cells apart, and transmit forces before they touch."""
 
 
 class SelfContact:
