@@ -25,6 +25,8 @@ def test_quick_run_saves_its_table(tmp_path, capsys):
     assert "one thread over two" in capsys.readouterr().out
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_a_step_has_rows_by_threads_and_by_another_method(tmp_path):
     """The Lagrangian row solves the same problem; without petsc4py it names what is missing."""
     assert workstation.main(["--cells", "48", "--steps", "1", "-o", str(tmp_path)]) == 0
@@ -38,6 +40,8 @@ def test_a_step_has_rows_by_threads_and_by_another_method(tmp_path):
     assert all(line.count("|") == head.count("|") for line in lines)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_a_second_branch_has_a_row_of_ratios():
     head, _, row = branches.rows(1, 1, [(2, 2.0, "split")])
     assert head.count("|") == row.count("|") and "| split |" in row

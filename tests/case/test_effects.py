@@ -247,7 +247,7 @@ def is_elsewhere(entry, kind):
     return entry.name in ELSEWHERE or f"{entry.name} {kind}" in ELSEWHERE
 
 
-QUICK = 7
+QUICK = 12
 """One of this number of keys is tried by default, and all by CI."""
 TRIED = [
     pytest.param(*case.values, id=case.id, marks=(pytest.mark.long, pytest.mark.ci) if i % QUICK else ())

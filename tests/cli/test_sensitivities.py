@@ -8,6 +8,7 @@ import sys
 
 import pytest
 from command import CASE, command, environment
+from support import by_ci
 
 from ngvisco.case.build import load_case
 
@@ -67,7 +68,7 @@ sys.exit(main(sys.argv[2:]))
 """Runs the command; the second step of the run or of the adjoint waits until it is asked to stop."""
 
 
-@pytest.mark.parametrize("where", ["run", "adjoint"])
+@pytest.mark.parametrize("where", [by_ci("run"), "adjoint"])
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 def test_a_gradient_stopped_by_a_signal_goes_on(case, tmp_path, where):
     words = [

@@ -10,7 +10,7 @@ import pytest
 from flow_rules import EXAMPLES as RULES
 from materials import examples
 from ngsolve import CF, log
-from support import others_by_ci, tensor, tensors, value, values
+from support import each_once, others_by_ci, tensor, tensors, value, values
 
 import ngvisco as nv
 from ngvisco.errors import ParameterError
@@ -72,9 +72,7 @@ def stress(model):
 HARDENING = {"none": None, "linear": RULES["linear hardening"], "Voce": RULES["Voce"]}
 
 
-@pytest.mark.parametrize("heat", [False, True])
-@pytest.mark.parametrize("rule", HARDENING)
-@pytest.mark.parametrize("name", MATERIALS)
+@pytest.mark.parametrize(("name", "rule", "heat"), each_once(MATERIALS, HARDENING, [False, True]))
 def test_the_stress_is_one(name, rule, heat):
     material = MATERIALS[name]
     if heat:
