@@ -74,9 +74,8 @@ class RunDirectory:
         The lock file exists only while the lock is held, and a created directory that stays empty is removed.
         """
         if self.path.exists() and not self.path.is_dir():
-            raise RunDirectoryError(
-                f"{self.path}: this is a file; expected a directory (a missing directory is created)"
-            )
+            message = f"{self.path}: this is a file; expected a directory (a missing directory is created)"
+            raise RunDirectoryError(message)
         is_new = not self.path.exists()
         self.path.mkdir(parents=True, exist_ok=True)
         with _held(self.lock_file) as file:

@@ -106,9 +106,8 @@ def parse_energy(
         )
         raise ExpressionError(text, tree.col_offset, message)
     if not evaluator.seen & stand_ins.keys():
-        raise ExpressionError(
-            text, tree.col_offset, f"{what} has to read at least one of {', '.join(stand_ins)}"
-        )
+        message = f"{what} has to read at least one of {', '.join(stand_ins)}"
+        raise ExpressionError(text, tree.col_offset, message)
     return EnergyExpression(text, constants, tree)
 
 
@@ -219,6 +218,5 @@ def _variable(text: str) -> Variable:
         exponent = number(match[2]) if match[2] else 0.0
         return _TENSORS[match[3]](name=match[1], exponent=exponent)  # type: ignore[call-arg]
     except (ExpressionError, ParameterError) as error:
-        raise ParameterError(
-            "Custom.variables", text, f"{_VARIABLE}; the given text has the error: {error}"
-        ) from error
+        expected = f"{_VARIABLE}; the given text has the error: {error}"
+        raise ParameterError("Custom.variables", text, expected) from error

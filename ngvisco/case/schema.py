@@ -126,9 +126,8 @@ class Time(TimeSteps):  # type: ignore[misc]
             least = 1.06 * self.until / _MAX_STEPS  # 6 % more, so that two digits are not less than needed
             steps = f"{self.until / longest:.0e} steps to time.until = {self.until:g} s"
             name = "Time.dt" if self.adaptive is None else "Time.adaptive.dt_max"
-            raise ParameterError(
-                name, longest, f"at least {least:.2g} s, since the given length makes {steps}"
-            )
+            expected = f"at least {least:.2g} s, since the given length makes {steps}"
+            raise ParameterError(name, longest, expected)
         number = round(self.until / self.dt)
         if self.adaptive is None and not math.isclose(number * self.dt, self.until, rel_tol=1e-9):
             raise ParameterError("Time.until", self.until, f"a multiple of dt = {self.dt:g}")

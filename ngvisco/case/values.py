@@ -126,9 +126,8 @@ def _law(value: Any) -> Any:
 
 def _region(value: Any) -> Any:
     if "t" in parse_region(value).names:
-        raise ValueError(
-            "expected a condition that reads only x, y and z, since bodies are placed only at the start"
-        )
+        message = "expected a condition that reads only x, y and z, since bodies are placed only at the start"
+        raise ValueError(message)
     return value
 
 

@@ -192,9 +192,8 @@ def _threads(text: str) -> int:
 def _directory(text: str) -> str:
     if not text or (os.path.exists(text) and not os.path.isdir(text)):
         what = "this is a file" if text else "the name is empty"
-        raise argparse.ArgumentTypeError(
-            f"{text!r}: {what}; expected a directory (a missing directory is created)"
-        )
+        message = f"{text!r}: {what}; expected a directory (a missing directory is created)"
+        raise argparse.ArgumentTypeError(message)
     return text
 
 

@@ -28,9 +28,8 @@ def plot(options: argparse.Namespace) -> int:
     section = None if options.section is None else CrossSection.parse(options.section)
     if options.movie is not None:
         if options.step is not None:
-            raise ParameterError(
-                "--step", options.step, "no such option together with --movie, since --movie draws all states"
-            )
+            expected = "no such option together with --movie, since --movie draws all states"
+            raise ParameterError("--step", options.step, expected)
         place = RunDirectory(run)
         path, title = Path(options.movie or out / "movie.gif"), place.case().sections.title
         fps = 10.0 if options.fps is None else options.fps
@@ -38,9 +37,8 @@ def plot(options: argparse.Namespace) -> int:
         print(path)
         return 0
     if options.fps is not None:
-        raise ParameterError(
-            "--fps", options.fps, "--fps only together with --movie, since a picture has no frames"
-        )
+        expected = "--fps only together with --movie, since a picture has no frames"
+        raise ParameterError("--fps", options.fps, expected)
     results, chosen, lines = _load(run, options)
     require_space(section, results.mesh.dim)  # raise before anything is drawn
     energies, history, states = (
@@ -70,11 +68,8 @@ def _runs(options: argparse.Namespace) -> dict[str, Path]:
 def _compare(options: argparse.Namespace, runs: dict[str, Path]) -> int:
     for name in ("movie", "fps", "section", "step"):
         if (value := getattr(options, name)) is not None:
-            raise ParameterError(
-                f"--{name}",
-                value,
-                "no such option for several runs, since several runs are compared over time",
-            )
+            expected = "no such option for several runs, since several runs are compared over time"
+            raise ParameterError(f"--{name}", value, expected)
     out = Path(options.output or (options.directory[0] if len(options.directory) == 1 else "."))
     for path in plot_comparison(runs, out, options.fields, options.format):
         print(path)

@@ -111,11 +111,8 @@ def _simulation(options: argparse.Namespace) -> tuple[Case, Simulation]:
     SetNumThreads(options.threads)
     case = cases.load_case(options.case, options.settings)
     if case.refinement is not None:
-        raise ParameterError(
-            "domain.adapt",
-            case.refinement,
-            "no such table, since a run with a changing mesh has no derivatives",
-        )
+        expected = "no such table, since a run with a changing mesh has no derivatives"
+        raise ParameterError("domain.adapt", case.refinement, expected)
     tables = list(samples(case.sections, Path()).values())
     for table in tables:
         table.path = None

@@ -160,11 +160,8 @@ class DamageGrowth:
         step = self.step
         ranks = Communicator.of(step.mesh)
         if ranks.size > 1:
-            raise ParameterError(
-                "Model.material",
-                next(iter(laws.values())),
-                f"a material without damage in a run by {ranks.size} processes",
-            )
+            expected = f"a material without damage in a run by {ranks.size} processes"
+            raise ParameterError("Model.material", next(iter(laws.values())), expected)
         if step.discretisation.m != 1:
             expected = "1 with damage, since the bounds of damage are imposed at the vertices of cells"
             raise ParameterError("Discretisation.m", step.discretisation.m, expected)

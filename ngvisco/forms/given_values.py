@@ -94,9 +94,8 @@ def given_values(
     }
     for name in given:
         if name not in (*shapes, *further):
-            raise UnknownNameError(
-                "material variable", name, [*shapes, *further], f"{owner}.values[{name!r}]"
-            )
+            field = f"{owner}.values[{name!r}]"
+            raise UnknownNameError("material variable", name, [*shapes, *further], field)
     return {
         name: as_shape(f"{owner}.values[{name!r}]", given[name], shape)
         for name, shape in shapes.items()
@@ -233,11 +232,8 @@ def entering(wall: Passage, owner: str, model: Model, mesh: Mesh) -> Entering:
                 expected = f"the amount of {name.removeprefix(AMOUNT)!r} in {owner}.amounts"
                 raise ParameterError(f"{owner}.values", name, expected)
         if wall.density is not None:
-            raise ParameterError(
-                f"{owner}.density",
-                wall.density,
-                "no density with bodies, since the density is the sum of rho_i n_i",
-            )
+            expected = "no density with bodies, since the density is the sum of rho_i n_i"
+            raise ParameterError(f"{owner}.density", wall.density, expected)
         if wall.amounts:
             amounts = _entering_amounts(wall, owner, [body.name for body in model.bodies])
             plastic = {K.name: CF(0.0) for K in material.plastic_contents.values()}

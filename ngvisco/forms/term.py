@@ -154,11 +154,8 @@ class PointTerm:
         members = vars(cls)
         for before, now in _RENAMED.items():
             if before in members:
-                raise ParameterError(
-                    f"{cls.__name__}.{before}",
-                    "a method",
-                    f"the name {now}, since the method {before} is now called {now}",
-                )
+                expected = f"the name {now}, since the method {before} is now called {now}"
+                raise ParameterError(f"{cls.__name__}.{before}", "a method", expected)
         if not {*PLACES, "form"}.isdisjoint(members):
             cls.kernel, cls.group = members.get("kernel"), members.get("group")
         if "form" in members:

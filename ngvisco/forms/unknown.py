@@ -69,9 +69,8 @@ class Unknown:
             )
             raise ParameterError("Unknown.place", self.place, expected)
         if not (as_number(self.scale) is not None and self.scale >= 0):
-            raise ParameterError(
-                "Unknown.scale", self.scale, f"a number >= 0, a typical size of {self.name!r}"
-            )
+            expected = f"a number >= 0, a typical size of {self.name!r}"
+            raise ParameterError("Unknown.scale", self.scale, expected)
 
     @property
     def shape(self) -> tuple[int, ...]:

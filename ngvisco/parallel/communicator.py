@@ -146,9 +146,8 @@ class Communicator:
         try:
             from mpi4py import MPI
         except (ImportError, RuntimeError) as error:  # RuntimeError: the MPI library is missing
-            raise MPIError(
-                f"mpirun started {started} processes, but mpi4py does not load ({error})"
-            ) from error
+            message = f"mpirun started {started} processes, but mpi4py does not load ({error})"
+            raise MPIError(message) from error
         size = MPI.COMM_WORLD.size
         if size < started:
             raise MPIError(

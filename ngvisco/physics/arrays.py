@@ -344,9 +344,8 @@ class Linear(_Node):
         if not isinstance(other, Linear):
             if isinstance(other, (int, float)) and other == 0:
                 return self
-            raise TypeError(
-                "a linear form can only be added to a form that is linear in the test functions too"
-            )
+            message = "a linear form can only be added to a form that is linear in the test functions too"
+            raise TypeError(message)
         if self.shape != other.shape:
             raise TypeError("a scalar, a vector and a tensor cannot be added to each other")
         return Linear(self.shape, [(self, _same), (other, _same)])

@@ -88,9 +88,8 @@ def check_bound(material: Material, field: str, function: Callable[..., Coeffici
 
     z_rest, states = rest_state(material, 3), sampling.changed(sampling.fitting())
     if not (value := float(at(z_rest[None])[0])) > 0:
-        raise ParameterError(
-            field, function, f"a function that is positive at rest, but the value at rest is {value:.4g}"
-        )
+        expected = f"a function that is positive at rest, but the value at rest is {value:.4g}"
+        raise ParameterError(field, function, expected)
     Q = np.linalg.qr(sampling._rng.standard_normal((3, 3)))[0]
     Q[:, 0] *= np.linalg.det(Q)
     if not np.allclose(at(_turned(material, 3, Q, states)), at(states), rtol=1e-8, equal_nan=True):

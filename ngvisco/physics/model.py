@@ -284,9 +284,8 @@ class Model:
             value = getattr(self, name)
             # ``replace`` of a model with bodies passes the mixture's material and viscosity on
             if not (value is None or isinstance(value, (Mixture, MixedViscosity))):
-                raise ParameterError(
-                    f"Model.{name}", value, None, f" with bodies, since each body has its own {name}"
-                )
+                expected = f" with bodies, since each body has its own {name}"
+                raise ParameterError(f"Model.{name}", value, None, expected)
         require_names_and_one_rest(self.bodies)
         names = [body.name for body in self.bodies]
         for name in names:

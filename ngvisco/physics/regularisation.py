@@ -88,11 +88,8 @@ class Regularisation:
     def require_gradients(self, name: str, m: int) -> None:
         """Raise ParameterError, with the diffusion's ``name``, for fields of order m = 0."""
         if m == 0:
-            raise ParameterError(
-                f"Regularisation.{name}",
-                getattr(self, name),
-                "0 with m = 0, since constants in cells have no gradient",
-            )
+            expected = "0 with m = 0, since constants in cells have no gradient"
+            raise ParameterError(f"Regularisation.{name}", getattr(self, name), expected)
 
     def penalty_weight(self, m: int) -> float:
         """The penalty's weight s = penalty (m + 1)^2 for polynomials of degree m."""

@@ -148,9 +148,8 @@ def may_read_time(function: CoefficientFunction) -> bool:
 
 def _checked(name: str, rows: np.ndarray) -> np.ndarray:
     if len(rows) < 2 or rows.shape[1] < 2:
-        raise ParameterError(
-            name, f"{len(rows)} rows of {rows.shape[1]} numbers", "at least two rows of two numbers"
-        )
+        expected = "at least two rows of two numbers"
+        raise ParameterError(name, f"{len(rows)} rows of {rows.shape[1]} numbers", expected)
     if not np.isfinite(rows).all():
         raise ParameterError(name, "a number that is not finite", "finite numbers")
     times = rows[:, 0]
@@ -164,9 +163,8 @@ def _rows_from(times: Sequence[float], values: Sequence[float] | Sequence[Sequen
     try:
         first, rows = np.array(times, dtype=float), np.array(values, dtype=float)
     except (TypeError, ValueError):
-        raise ParameterError(
-            "table", (times, values), "times, and one value or one row of values for each time"
-        ) from None
+        expected = "times, and one value or one row of values for each time"
+        raise ParameterError("table", (times, values), expected) from None
     if first.ndim != 1 or rows.ndim not in (1, 2) or len(first) != len(rows):
         shapes = f"{first.shape} times, values of shape {rows.shape}"
         raise ParameterError("table", shapes, "times, and one value or one row of values for each time")

@@ -193,11 +193,8 @@ class Bodies(Series):
         bodies = require_bodies("Bodies", material)
         needs = [name for name in self.measures if name in _PLANE]
         if dim != 2 and needs:
-            raise ParameterError(
-                "Bodies.measures",
-                needs[0],
-                "only stress and traction in 3D, since the other measures need an outline in the plane",
-            )
+            expected = "only stress and traction in 3D, since the other measures need an outline in the plane"
+            raise ParameterError("Bodies.measures", needs[0], expected)
         axes = "xyz"[:dim]
         units = {"mass": "kg", "volume": "m^d", **dict.fromkeys(axes, "m")}
         units |= {f"momentum_{axis}": "kg m/s" for axis in axes}
@@ -214,11 +211,8 @@ class Bodies(Series):
         self._units = {f"{name}_{quantity}": unit for name in names for quantity, unit in units.items()}
         if "gap" in self.measures:
             if len(self._placed) < 2:
-                raise ParameterError(
-                    "Bodies.measures",
-                    "gap",
-                    "no gap in a model with fewer than two bodies that have a place (where)",
-                )
+                expected = "no gap in a model with fewer than two bodies that have a place (where)"
+                raise ParameterError("Bodies.measures", "gap", expected)
             self.pairs = {f"gap_{one}_{other}": (one, other) for one, other in combinations(self._placed, 2)}
             self._units |= dict.fromkeys(self.pairs, "m")
         parts = (part for name in names for part in self.densities(name, step.now).values())

@@ -52,9 +52,8 @@ class Contours(Series):
     def prepare(self, simulation: Simulation) -> list[str]:
         bodies = require_bodies("Contours", simulation.model.material)
         if simulation.mesh.dim != 2:
-            raise ParameterError(
-                "Contours.bodies", self.bodies, "no contours in 3D; ParaView can draw the surfaces"
-            )
+            expected = "no contours in 3D; ParaView can draw the surfaces"
+            raise ParameterError("Contours.bodies", self.bodies, expected)
         numbers = {body.name: number for number, body in enumerate(bodies, start=1)}
         for name in self.bodies or ():
             if name not in numbers:

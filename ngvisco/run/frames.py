@@ -167,9 +167,8 @@ def read_series_files(directory: str | os.PathLike[str]) -> list[tuple[float, Pa
     place = Path(directory)
     series = [(time, place / name) for time, name in read_pvd(place / "fields.pvd")]
     if not series:
-        raise CheckpointError(
-            f"{place}: there is no VTK series here; output.vtk.enabled = true writes a series"
-        )
+        message = f"{place}: there is no VTK series here; output.vtk.enabled = true writes a series"
+        raise CheckpointError(message)
     return series
 
 

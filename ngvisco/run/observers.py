@@ -263,9 +263,8 @@ class VTKSeries:
             require_count("VTKSeries", every=every)
         self.directory, self.every = require_path("VTKSeries.directory", directory), every
         if self.directory.exists() and not self.directory.is_dir():
-            raise ParameterError(
-                "VTKSeries.directory", str(directory), "a directory, but this path is a file"
-            )
+            expected = "a directory, but this path is a file"
+            raise ParameterError("VTKSeries.directory", str(directory), expected)
         self.times = as_numbers("VTKSeries.times", times, "a sequence of finite numbers, in s")
         self.names = None if fields is None else require_some_names("VTKSeries.fields", fields)
         self.subdivision = SUBDIVISION.taken("VTKSeries.subdivision", subdivision)

@@ -167,9 +167,8 @@ class PassiveFields:
         """
         for key, field in self.parts.items():
             if key not in arrays or arrays[key].shape != (len(field.vec),):
-                raise CheckpointError(
-                    f"the passive field {key} is missing in the checkpoint, or has another size there"
-                )
+                message = f"the passive field {key} is missing in the checkpoint, or has another size there"
+                raise CheckpointError(message)
             field.vec.FV().NumPy()[:] = arrays[key]
 
 

@@ -210,9 +210,8 @@ class Integrals(Series):
     ) -> None:
         super().__init__(path, every)
         if not isinstance(integrands, Mapping) or not integrands:
-            raise ParameterError(
-                "Integrals.integrands", integrands, "a mapping of names to integrands, with at least one name"
-            )
+            expected = "a mapping of names to integrands, with at least one name"
+            raise ParameterError("Integrals.integrands", integrands, expected)
         for name, value in integrands.items():
             is_scalar = isinstance(value, CoefficientFunction) and value.dim == 1
             if not (isinstance(value, str) or is_scalar):

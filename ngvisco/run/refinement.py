@@ -81,9 +81,8 @@ class Refinement:
     def check(self, simulation: Simulation) -> None:
         """Raise MeshError, ParameterError or UnknownNameError unless meshes of a run can follow the field."""
         if not simulation.ranks.all(is_simplicial(simulation.mesh)):
-            raise MeshError(
-                "expected a mesh of triangles or tetrahedra, since other cells cannot be bisected"
-            )
+            message = "expected a mesh of triangles or tetrahedra, since other cells cannot be bisected"
+            raise MeshError(message)
         simulation.stepper.check("Refinement.every", self.every)
         self.steep(simulation)
         require_fit(simulation, simulation)  # a state has to fit later meshes in the same way

@@ -160,9 +160,8 @@ def read_series(path: Path, columns: Sequence[str]) -> list[list[float]]:
         return []
     table = read_columns(path)
     if list(table) != list(columns):
-        raise CheckpointError(
-            f"{path}: the table has other columns than this run writes; move the file away to go on"
-        )
+        message = f"{path}: the table has other columns than this run writes; move the file away to go on"
+        raise CheckpointError(message)
     return [[int(row[0]), *row[1:]] for row in np.transpose(list(table.values())).tolist()]
 
 
@@ -173,6 +172,5 @@ def read_columns(path: Path) -> dict[str, np.ndarray]:
             head, *body = csv.reader(file)
         return dict(zip(head, np.array(body, dtype=float).reshape(len(body), len(head)).T, strict=True))
     except (ValueError, csv.Error) as error:
-        raise CheckpointError(
-            f"{path}: this is not a table of numbers ({error}); move the file away to go on"
-        ) from error
+        message = f"{path}: this is not a table of numbers ({error}); move the file away to go on"
+        raise CheckpointError(message) from error

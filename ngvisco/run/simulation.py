@@ -190,9 +190,8 @@ class Simulation(RunState):
         """
         if self.mesh.ne != self._cells_here:
             message = f"the mesh has {self.mesh.ne} cells, but had {self._cells_here} when the run was made"
-            raise MeshError(
-                f"{message}; make another run on the refined mesh, and move the state by nv.transfer"
-            )
+            message = f"{message}; make another run on the refined mesh, and move the state by nv.transfer"
+            raise MeshError(message)
         with computing(), self.solver.workers(), ending_all_ranks():
             self._start_ledger()
             self.interruption.begin()

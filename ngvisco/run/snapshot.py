@@ -180,9 +180,8 @@ def take_up(
         names = list(columns) if may_differ else [*ledger.columns, *ledger.foreign(columns)]
         rows = [row for row in _rows(path, columns, names) if row["step"] <= number]
         if [row["step"] for row in rows] != list(range(number + 1)):
-            raise CheckpointError(
-                f"{path}: the ledger in this file lacks rows of some of the steps 0 to {number}"
-            )
+            message = f"{path}: the ledger in this file lacks rows of some of the steps 0 to {number}"
+            raise CheckpointError(message)
         with opened(path) as file:  # in files of older versions, which have no limits, this run's limits hold
             limits = [(int(first), float(limit)) for first, limit in file["ledger"].attrs.get(CLOSURES, ())]
         return snapshot.numbers, list(snapshot.arrays), names, rows, limits

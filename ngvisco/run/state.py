@@ -113,9 +113,8 @@ class RunState:
 
     @number.setter
     def number(self, value: int) -> None:
-        raise ParameterError(
-            "Simulation.number", value, "no assignment, since advance() and run() count the steps"
-        )
+        expected = "no assignment, since advance() and run() count the steps"
+        raise ParameterError("Simulation.number", value, expected)
 
     @cached_property
     def numbering(self) -> Numbering:

@@ -163,9 +163,8 @@ def time_steps(time: TimeSteps | None, keywords: Mapping[str, Any]) -> TimeSteps
         return TimeSteps(**{"dt": None, **keywords})
     require_type("Simulation.time", time, TimeSteps)
     if keywords:
-        raise ParameterError(
-            "Simulation.time", time, None, f", since parameters ({', '.join(keywords)}) are also given"
-        )
+        expected = f", since parameters ({', '.join(keywords)}) are also given"
+        raise ParameterError("Simulation.time", time, None, expected)
     return time
 
 

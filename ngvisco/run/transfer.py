@@ -158,24 +158,19 @@ def require_fit(source: Simulation, target: Simulation) -> None:
     if (had := source.arguments["symmetry"]) != (has := target.arguments["symmetry"]):
         raise ParameterError("transfer.target", f"symmetry {has!r}", f"{had!r}, the symmetry of the source")
     if source.mesh.dim != target.mesh.dim:
-        raise ParameterError(
-            "transfer.target",
-            f"dimension {target.mesh.dim}",
-            f"dimension {source.mesh.dim}, as in the source",
-        )
+        expected = f"dimension {source.mesh.dim}, as in the source"
+        raise ParameterError("transfer.target", f"dimension {target.mesh.dim}", expected)
     if target.number or len(target.ledger.rows) > 1:
-        raise ParameterError(
-            "transfer.target", f"a run at step {target.number}", "a run before its first step"
-        )
+        expected = "a run before its first step"
+        raise ParameterError("transfer.target", f"a run at step {target.number}", expected)
     carried, wanted = ({*run.passive.names, *run.passive.distances.parts} for run in (source, target))
     missing = sorted(wanted - carried)
     if missing:
         raise ParameterError("transfer.target", missing, "passive fields that the source carries too")
     volumes = [Integrate(CF(1.0), run.mesh) for run in (source, target)]
     if abs(volumes[1] / volumes[0] - 1) > _VOLUME:
-        raise MeshError(
-            f"the new mesh has the volume {volumes[1]:.6g}, but the old mesh has {volumes[0]:.6g}"
-        )
+        message = f"the new mesh has the volume {volumes[1]:.6g}, but the old mesh has {volumes[0]:.6g}"
+        raise MeshError(message)
 
 
 def _located(mesh: Mesh, points: QuadraturePoints) -> Located:
@@ -218,9 +213,8 @@ def _set_fields(source: Simulation, target: Simulation, points: QuadraturePoints
         before, after = float(old.quadrature.integrate_cells(had)), float(new.quadrature.integrate_cells(has))
         if not after > 0:
             amount, integral = name.removeprefix(AMOUNT), f"the integral is {after:.3g}"
-            raise InitialDataError(
-                f"transferred amount of {amount}", integral, "an integral > 0; take a finer mesh"
-            )
+            expected = "an integral > 0; take a finer mesh"
+            raise InitialDataError(f"transferred amount of {amount}", integral, expected)
         factors.append(before / after)
         coefficients *= factors[-1]
     return max(factors, key=lambda factor: abs(factor - 1))

@@ -90,12 +90,11 @@ class Columns:
             if name not in differentiable:
                 raise UnknownNameError("column", name, differentiable, "of")
             if (count := [*ledger.columns, *chain.from_iterable(of_tables)].count(name)) > 1:
-                raise ParameterError(
-                    "of",
-                    name,
+                expected = (
                     f"the name of one column, but {count} columns have this name; rename the column of a "
-                    "table",
+                    "table"
                 )
+                raise ParameterError("of", name, expected)
 
         def mask(kind: Collection[str]) -> np.ndarray:
             return np.array([name in kind for name in names], dtype=bool)

@@ -68,9 +68,8 @@ def _head(path: Path, cells: Sequence[str]) -> tuple[list[str], dict[str, str]]:
     for cell in cells:
         head = _HEAD.fullmatch(cell)
         if head is None or as_number(_float(cell)) is not None:
-            raise DataError(
-                f"{path}: {cell!r:.60} is not the name of a column, with or without a unit in brackets"
-            )
+            message = f"{path}: {cell!r:.60} is not the name of a column, with or without a unit in brackets"
+            raise DataError(message)
         names.append(head["name"])
         if head["unit"] is not None:
             units[head["name"]] = head["unit"].strip()
@@ -104,9 +103,8 @@ def _column(name: Any, values: Any) -> np.ndarray:
     except (TypeError, ValueError) as error:
         raise DataError(f"data[{name!r}]: expected a sequence of numbers") from error
     if column.ndim != 1 or np.isinf(column).any():
-        raise DataError(
-            f"data[{name!r}]: expected a sequence of finite numbers, with NaN for missing numbers"
-        )
+        message = f"data[{name!r}]: expected a sequence of finite numbers, with NaN for missing numbers"
+        raise DataError(message)
     return column
 
 
@@ -118,9 +116,8 @@ def _checked(where: str, columns: dict[str, np.ndarray], units: dict[str, str]) 
     if not columns:
         raise DataError(f"{where}: there is no column besides {TIME!r}")
     if not len(times) or any(len(column) != len(times) for column in columns.values()):
-        raise DataError(
-            f"{where}: expected at least one time, and in each column as many values as there are times"
-        )
+        message = f"{where}: expected at least one time, and in each column as many values as there are times"
+        raise DataError(message)
     if not (np.isfinite(times) & (times >= 0)).all():
         raise DataError(f"{where}: expected times >= 0 in every row")
     for name, values in columns.items():

@@ -87,9 +87,8 @@ class Named:
         part = _found(_root(simulation, keys[0]), keys[1:], name)
         value = as_number(part)
         if value is None:
-            raise ParameterError(
-                f"by: {name}", part, "the name of one number, and not of a function or a table"
-            )
+            expected = "the name of one number, and not of a function or a table"
+            raise ParameterError(f"by: {name}", part, expected)
         parent = _found(_root(simulation, keys[0]), keys[1:-1], name)
         beside = parent if isinstance(parent, (tuple, list)) else ()
         size = max([abs(value), *(abs(as_number(neighbour) or 0.0) for neighbour in beside)])

@@ -52,9 +52,8 @@ class Slopes:
         self._of |= {name: lambda: np.zeros(len(follower.state)) for name in elsewhere}
         for name in names:
             if name not in self._of:
-                raise ParameterError(
-                    "of", name, "a column with an adjoint derivative; take method = 'tangent'"
-                )
+                expected = "a column with an adjoint derivative; take method = 'tangent'"
+                raise ParameterError("of", name, expected)
         reading = self._reading_start() - set(elsewhere)
         self.reading_start = [name for name in names if name in reading]
         """Columns that depend on the state from which a stage, or the end of a step, starts."""

@@ -53,30 +53,26 @@ class ClosedSurface(Shape):
         """Corners of the triangles, (triangles, 3, 3), m, counter-clockwise seen from outside."""
         corners = _read(Path(self.path)) * self.scale
         if not len(corners):
-            raise ParameterError(
-                "ClosedSurface.path", self.path, "an STL file with triangles, but this file has none"
-            )
+            expected = "an STL file with triangles, but this file has none"
+            raise ParameterError("ClosedSurface.path", self.path, expected)
         if not np.isfinite(corners).all():
-            raise ParameterError(
-                "ClosedSurface.path", self.path, "a file of triangles with finite coordinates"
-            )
+            expected = "a file of triangles with finite coordinates"
+            raise ParameterError("ClosedSurface.path", self.path, expected)
         size = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
         part = _connected_parts(self.path, corners, size)
         a, b, c = corners.transpose(1, 0, 2) - corners.mean(axis=(0, 1))
         volumes = np.bincount(part, weights=np.sum(a * np.cross(b, c), axis=1) / 6)
         if not (abs(volumes) > 1e-12 * size**3).any():
-            raise ParameterError(
-                "ClosedSurface.path", self.path, "a file of a surface that encloses a volume"
-            )
+            expected = "a file of a surface that encloses a volume"
+            raise ParameterError("ClosedSurface.path", self.path, expected)
         return np.where(_inward(corners, part, volumes)[part][:, None, None], corners[:, ::-1], corners)
 
     def level(self, at: Places) -> np.ndarray:
         if at.mesh.dim != 3:
-            raise ParameterError(
-                "ClosedSurface.path",
-                self.path,
-                "no closed surface in a mesh of two dimensions, since a surface bounds no part of a plane",
+            expected = (
+                "no closed surface in a mesh of two dimensions, since a surface bounds no part of a plane"
             )
+            raise ParameterError("ClosedSurface.path", self.path, expected)
         # only the sign of the crossings is used: parts that overlap give larger numbers
         inside = crossings(self.triangles, at.coordinates) > 0
         size = at.spacing.copy()
@@ -101,15 +97,13 @@ def _read(path: Path) -> np.ndarray:
     number = r"([+-]?[0-9.]+(?:[eE][+-]?[0-9]+)?)"
     vertices = re.findall(rf"vertex\s+{number}\s+{number}\s+{number}", text)
     if len(vertices) % 3 or len(vertices) != len(re.findall(r"\bvertex\b", text)):
-        raise ParameterError(
-            "ClosedSurface.path", str(path), "a file of triangles, each with three corners of three numbers"
-        )
+        expected = "a file of triangles, each with three corners of three numbers"
+        raise ParameterError("ClosedSurface.path", str(path), expected)
     try:
         return np.array(vertices, dtype=float).reshape(-1, 3, 3)
     except ValueError as error:
-        raise ParameterError(
-            "ClosedSurface.path", str(path), f"a file with numbers as coordinates ({error})"
-        ) from error
+        expected = f"a file with numbers as coordinates ({error})"
+        raise ParameterError("ClosedSurface.path", str(path), expected) from error
 
 
 def _connected_parts(path: str | os.PathLike[str], corners: np.ndarray, size: float) -> np.ndarray:
@@ -118,11 +112,8 @@ def _connected_parts(path: str | os.PathLike[str], corners: np.ndarray, size: fl
     Raises ParameterError unless the triangles run along each edge equally often in both senses.
     """
     if size == 0:
-        raise ParameterError(
-            "ClosedSurface.path",
-            path,
-            "a file of a surface that encloses a volume, but all corners are one point",
-        )
+        expected = "a file of a surface that encloses a volume, but all corners are one point"
+        raise ParameterError("ClosedSurface.path", path, expected)
     places = np.round(corners.reshape(-1, 3) / (_SAME * size)).astype(np.int64)
     _, numbers = np.unique(places, axis=0, return_inverse=True)
     triangles = numbers.reshape(-1, 3)

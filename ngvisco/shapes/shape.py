@@ -101,9 +101,8 @@ class Where(Shape):
     def level(self, at: Places) -> np.ndarray:
         values = at.values(self.function).reshape(-1)
         if not np.isfinite(values).all():
-            raise ParameterError(
-                "Where.function", "a function that is not finite somewhere", "a function with finite values"
-            )
+            expected = "a function with finite values"
+            raise ParameterError("Where.function", "a function that is not finite somewhere", expected)
         is_indicator = bool(np.isin(values, (0.0, 1.0)).all())
         return values - 0.5 if is_indicator else values
 
@@ -184,9 +183,8 @@ class HalfSpace(Shape):
         point, normal = as_place("HalfSpace.point", self.point), as_place("HalfSpace.normal", self.normal)
         largest = max(map(abs, normal))
         if len(normal) != len(point) or largest == 0:
-            raise ParameterError(
-                "HalfSpace.normal", self.normal, f"a nonzero vector with {len(point)} components"
-            )
+            expected = f"a nonzero vector with {len(point)} components"
+            raise ParameterError("HalfSpace.normal", self.normal, expected)
         object.__setattr__(self, "point", point)
         scaled = [n / largest for n in normal]  # squares of the numbers given may leave the range of floats
         length = float(np.linalg.norm(scaled))
@@ -223,9 +221,8 @@ class Polygon(Shape):
         object.__setattr__(self, "points", points)
         a, b = self._edges
         if not (np.linalg.norm(b - a, axis=1) > 0).all():
-            raise ParameterError(
-                "Polygon.points", self.points, "points that each differ from the point before"
-            )
+            expected = "points that each differ from the point before"
+            raise ParameterError("Polygon.points", self.points, expected)
         if (otherwise := _expected_of_edges(a, b)) is not None:
             raise ParameterError("Polygon.points", self.points, otherwise)
 
@@ -236,11 +233,8 @@ class Polygon(Shape):
 
     def level(self, at: Places) -> np.ndarray:
         if at.mesh.dim != 2:
-            raise ParameterError(
-                "Polygon.points",
-                self.points,
-                "another shape, such as ClosedSurface, since a Polygon needs a mesh of two dimensions",
-            )
+            expected = "another shape, such as ClosedSurface, since a Polygon needs a mesh of two dimensions"
+            raise ParameterError("Polygon.points", self.points, expected)
         p, is_inside = at.coordinates, np.zeros(len(at.coordinates), dtype=bool)
         distance = np.full(len(p), np.inf)
         for a, b in zip(*self._edges, strict=True):
@@ -322,6 +316,5 @@ def as_shape(field: str, value: object) -> Shape:
 def require_dim(field: str, value: Sequence[float], mesh: Mesh) -> None:
     """Raise ParameterError unless a place has as many coordinates as the mesh."""
     if len(value) != mesh.dim:
-        raise ParameterError(
-            field, list(value), f"{mesh.dim} coordinates, since the mesh has {mesh.dim} dimensions"
-        )
+        expected = f"{mesh.dim} coordinates, since the mesh has {mesh.dim} dimensions"
+        raise ParameterError(field, list(value), expected)

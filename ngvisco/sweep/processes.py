@@ -64,9 +64,8 @@ def _check_workers(client: Any, scheduler: str) -> None:
         message = f"the workers cannot import ngvisco ({type(error).__name__}: {error})"
         raise SweepError(f"--scheduler {scheduler}: {message}") from error
     if not versions:
-        raise SweepError(
-            f"--scheduler {scheduler}: expected a scheduler with workers; start workers by dask worker"
-        )
+        message = f"--scheduler {scheduler}: expected a scheduler with workers; start workers by dask worker"
+        raise SweepError(message)
     different = {address: there for address, there in versions.items() if there != expected}
     if different:
         address, there = next(iter(different.items()))

@@ -123,9 +123,8 @@ class Study:
         self.table = self.directory / "sweep.csv"
         self.force = force
         if RunDirectory(self.directory).case_file.exists():
-            raise SweepError(
-                f"{self.directory}: this is a run directory; choose another directory for the study"
-            )
+            message = f"{self.directory}: this is a run directory; choose another directory for the study"
+            raise SweepError(message)
         chosen = combinations(variations)
         fixed = {setting.partition("=")[0].strip() for setting in settings}
         if twice := fixed & set(chosen[0].values):
@@ -134,9 +133,8 @@ class Study:
         names: dict[str, str] = {}
         for variation, case in zip(chosen, self.cases, strict=True):
             if (earlier := names.setdefault(case.resolved, variation.name)) != variation.name:
-                raise SweepError(
-                    f"{earlier} and {variation.name} are the same case; expected distinct values"
-                )
+                message = f"{earlier} and {variation.name} are the same case; expected distinct values"
+                raise SweepError(message)
         self.outcomes = [Outcome(variation.name, variation.values) for variation in chosen]
         self._others = [  # runs of earlier studies whose case files still exist
             listed

@@ -206,9 +206,6 @@ def scheme_of(scheme: str | TimeScheme, theta: float | None = None) -> TimeSchem
             raise ParameterError("theta", theta, "a number in [1/2, 1] for the scheme 'theta'")
         return theta_scheme(theta)
     if theta is not None:
-        raise ParameterError(
-            "theta",
-            theta,
-            f"no theta with the scheme {str(scheme)!r}; only the scheme 'theta' has this parameter",
-        )
+        expected = f"no theta with the scheme {str(scheme)!r}; only the scheme 'theta' has this parameter"
+        raise ParameterError("theta", theta, expected)
     return SCHEMES[scheme]() if isinstance(scheme, str) else scheme

@@ -60,8 +60,7 @@ def axis_of(walls: Walls, near: float) -> list[str]:
         ]
         if ranks.any(any(on)):
             if not ranks.all(all(on)):
-                raise MeshError(
-                    f"a part of the wall {name!r} lies on the axis; give the axis a name of its own"
-                )
+                message = f"a part of the wall {name!r} lies on the axis; give the axis a name of its own"
+                raise MeshError(message)
             names.append(name)
     return names

@@ -100,9 +100,8 @@ def check_loads(step: Step, sampler: Sampler, times: Iterable[float]) -> None:
     for field, value, function, expected in given:
         for t in _at(times):
             if not sampler.ranks.all(np.isfinite(sampler.values(function)).all()):
-                raise ParameterError(
-                    field, value, f"{expected}; at t = {t:g} s the value is not finite somewhere"
-                )
+                expected = f"{expected}; at t = {t:g} s the value is not finite somewhere"
+                raise ParameterError(field, value, expected)
 
 
 def check_walls(step: Step, times: Iterable[float]) -> None:

@@ -166,9 +166,8 @@ class Column:
                 break
             last = values
         else:
-            raise InitialDataError(
-                "equilibrium", "no equilibrium was found", "loads that the pressure in the body can balance"
-            )
+            expected = "loads that the pressure in the body can balance"
+            raise InitialDataError("equilibrium", "no equilibrium was found", expected)
         release(self._inverse)
         self._say_what_is_left()
         return self.J
@@ -263,12 +262,8 @@ class Column:
 def require_open(step: Step, F: object, given: Mapping[str, object]) -> None:
     """Raise ParameterError for an equilibrium without loads, or with given strains that it determines."""
     if not step.model.loads:
-        raise ParameterError(
-            "Initial.equilibrium",
-            "hydrostatic",
-            None,
-            " without loads; an equilibrium needs a load, such as Gravity",
-        )
+        expected = " without loads; an equilibrium needs a load, such as Gravity"
+        raise ParameterError("Initial.equilibrium", "hydrostatic", None, expected)
     if F is not None:
         raise ParameterError("Initial.F", F, None, ", since F follows from the equilibrium")
     for v in step.model.material.variables:

@@ -364,11 +364,8 @@ class Composite(FlowRule):
             raise ParameterError("Composite.rules", self.rules, "at least one flow rule")
         for i, rule in enumerate(self.rules):
             if not rule.is_local:
-                raise ParameterError(
-                    f"Composite.rules[{i}].nu",
-                    rule.nu,
-                    "0 in a sum of flow rules, since a sum has no gradient term",
-                )
+                expected = "0 in a sum of flow rules, since a sum has no gradient term"
+                raise ParameterError(f"Composite.rules[{i}].nu", rule.nu, expected)
             if rule.hardening is not None:
                 expected = "0, no hardening, since a sum of rules has no plastic strain of a single rule"
                 name = "Q" if rule.hardening.H == 0 else "H"

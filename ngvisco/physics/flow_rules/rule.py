@@ -139,9 +139,8 @@ class FlowRule(ABC):
 
         Raises ParameterError for a rule without a potential.
         """
-        raise ParameterError(
-            f"{type(self).__name__}.nu", self.nu, "0, since the rule gives no potential psi(Pi)"
-        )
+        expected = "0, since the rule gives no potential psi(Pi)"
+        raise ParameterError(f"{type(self).__name__}.nu", self.nu, expected)
 
     def force(self, Pi: Tensor, z: Values) -> Tensor:
         """The derivative psi'(Pi), 3x3, Pa."""

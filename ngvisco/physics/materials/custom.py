@@ -88,12 +88,10 @@ class CustomMaterial(Material):
         super().__post_init__()
         of_volume = (v.volume_ratio(v.from_distortion(IDENTITY)) for v in self.transported)
         if self.rho_R is not None and all(ratio is None for ratio in of_volume):
-            raise ParameterError(
-                "CustomMaterial.rho_R",
-                self.rho_R,
-                None,
-                ", since J follows from no variable; or add a variable that gives J, such as Jacobian()",
+            expected = (
+                ", since J follows from no variable; or add a variable that gives J, such as Jacobian()"
             )
+            raise ParameterError("CustomMaterial.rho_R", self.rho_R, None, expected)
         check_energy(self)
         require_isotropy(self)
         for name, bound in self.bounds.items():

@@ -193,9 +193,8 @@ class Damaged(Wrapper):
         if self.breaking is None:
             return
         if not isinstance(self.material, Network):
-            raise ParameterError(
-                "Damaged.breaking", self.breaking, None, ", since the material has no branches"
-            )
+            expected = ", since the material has no branches"
+            raise ParameterError("Damaged.breaking", self.breaking, None, expected)
         object.__setattr__(self, "breaking", tuple(require_some_names("Damaged.breaking", self.breaking)))
         for name in self.breaking:
             if name not in self.material.parts:

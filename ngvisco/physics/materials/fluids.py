@@ -93,9 +93,8 @@ class BarotropicFluid(Material):
         with np.errstate(over="ignore"):
             B = float(a * np.float64(rho_R) ** gamma / (gamma - 1))
         if not 0 < B < math.inf:
-            raise ParameterError(
-                "BarotropicFluid.a", a, "a number with which a rho_R^gamma/(gamma - 1) is finite and > 0"
-            )
+            expected = "a number with which a rho_R^gamma/(gamma - 1) is finite and > 0"
+            raise ParameterError("BarotropicFluid.a", a, expected)
         return replace(fluid, B=B)
 
     @property

@@ -62,9 +62,8 @@ class _Parts(dict[str, Branch]):
         return hash(tuple(self.items()))
 
     def __setitem__(self, name: str, branch: Branch) -> None:
-        raise TypeError(
-            "the branches of a network cannot change; make another network by dataclasses.replace"
-        )
+        message = "the branches of a network cannot change; make another network by dataclasses.replace"
+        raise TypeError(message)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -140,9 +140,8 @@ class Ogden(Material):
             raise ParameterError("Ogden.alpha", self.alpha, "distinct exponents")
         if len(self.mu) != len(self.alpha):
             if len(self.alpha) > len(self.mu):
-                raise ParameterError(
-                    "Ogden.alpha", self.alpha, f"as many exponents as moduli, {len(self.mu)}"
-                )
+                expected = f"as many exponents as moduli, {len(self.mu)}"
+                raise ParameterError("Ogden.alpha", self.alpha, expected)
             raise ParameterError("Ogden.mu", self.mu, f"as many moduli as exponents, {len(self.alpha)}")
         least = 2.0 if self.elastic_state == "B" else 1.0
         if not all(least <= abs(alpha) <= 12 for alpha in self.alpha):

@@ -85,9 +85,8 @@ class PerReferentialVolume(Material):
             )
             raise ParameterError(field_name, self.material, expected)
         if part_of(self.material, Network) is not None:
-            raise ParameterError(
-                field_name, self.material, "a material without branches; wrap the material of each branch"
-            )
+            expected = "a material without branches; wrap the material of each branch"
+            raise ParameterError(field_name, self.material, expected)
         for v in self.material.variables:
             if v.is_strain and not isinstance(v, (Jacobian, DistortionTensor)):
                 expected = (
@@ -196,11 +195,8 @@ class ReferenceEnergy(Material):
                     )
                 raise ParameterError(self.owner, self.material, expected)
         if not any(isinstance(v, of_volume) for v in self.material.variables):
-            raise ParameterError(
-                self.owner,
-                self.material,
-                "a material with J or 1/J, since bodies share the volume of a point",
-            )
+            expected = "a material with J or 1/J, since bodies share the volume of a point"
+            raise ParameterError(self.owner, self.material, expected)
         if self.material.response(3) is not None:
             expected = "a material whose energy is an expression, and not a Yosida approximation"
             raise ParameterError(self.owner, self.material, expected)

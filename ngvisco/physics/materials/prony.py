@@ -86,9 +86,8 @@ def prony_network(
         raise ParameterError("prony_network.of", of, '"G_0" or "G_inf"')
     shifts = {"E": E, "C_1": C_1, "C_2": C_2}
     if (C_1 is None) != (C_2 is None) or (E is not None and C_1 is not None):
-        raise ParameterError(
-            "prony_network.C_1", shifts, "E alone, or C_1 and C_2 together, or none of the three"
-        )
+        expected = "E alone, or C_1 and C_2 together, or none of the three"
+        raise ParameterError("prony_network.C_1", shifts, expected)
     left = 1 - float(rows[:, 0].sum()) if of == "G_0" else 1.0
     if left < -1e-12:
         expected = f"shares of G_0 whose sum is at most 1, not {1 - left:.6g}; shares of G_inf have no bound"

@@ -116,11 +116,8 @@ class WithQuadratic(Wrapper):
             raise UnknownNameError("material variable", name, strain_names, "WithQuadratic.only")
         having = [form for form, names in zip(forms, strains, strict=True) if named <= names]
         if not having:
-            raise ParameterError(
-                "WithQuadratic.only",
-                self.only,
-                " or ".join(f"names among {listed(sorted(names))} only" for names in strains),
-            )
+            expected = " or ".join(f"names among {listed(sorted(names))} only" for names in strains)
+            raise ParameterError("WithQuadratic.only", self.only, expected)
         if len(having) == 1:  # names of variables that only one form has choose this form
             object.__setattr__(self, "material", having[0])
 
