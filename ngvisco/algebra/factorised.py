@@ -194,8 +194,7 @@ class TwoLevelSolver:
         self._among_fine = all_fine.astype(precision.SINGLE, copy=False)
         # each scaled by its own diagonal, a sum of matrices has no larger eigenvalue than the largest
         # one of its parts
-        largest = exchange.communicator.most(largest_eigenvalue(all_fine))
-        middle = 0.5 * largest * (1 + 1 / SMOOTHED)
+        middle = 0.5 * exchange.communicator.most(largest_eigenvalue(all_fine)) * (1 + 1 / SMOOTHED)
         self._smoother = (1 / (middle * diagonal[fine])).astype(precision.SINGLE)
 
     def __call__(self, r: np.ndarray) -> np.ndarray:

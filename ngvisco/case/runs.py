@@ -157,8 +157,7 @@ def _go(
             resume_changed(simulation, place.run_file, {"case": before})
             notes.append(f"changed: {', '.join(place.read_versions()['changes'][-1]['settings'])}")
     elif not simulation.ledger.rows and (origin := place.read_versions().get("from")) is not None:
-        state = load(origin["directory"], origin["step"]).simulation
-        notes.append(_taken_over(state, origin, simulation))
+        notes.append(_taken_over(load(origin["directory"], origin["step"]).simulation, origin, simulation))
     if (met := simulation.stepper.met(end)) != end:
         notes.append(f"the run ends at {met:.10g} s, the end of a step nearest to {end:.10g} s")
         end = met

@@ -61,8 +61,7 @@ def level(heights: np.ndarray, theta: np.ndarray, weights: np.ndarray | None = N
     sizes = sizes / sizes.sum(axis=1, keepdims=True)
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        shares = share_above(heights - middle[:, None, None], weights)
-        is_more = (shares * sizes).sum(axis=1) > theta
+        is_more = (share_above(heights - middle[:, None, None], weights) * sizes).sum(axis=1) > theta
         low, high = np.where(is_more, middle, low), np.where(is_more, high, middle)
     result[cut] = 0.5 * (low + high)
     return result

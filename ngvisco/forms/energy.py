@@ -186,8 +186,7 @@ class PointwiseEnergy(StoredEnergy):
             self._at_sides.refresh(self.response)
 
     def samples(self, z: Values, sampler: Sampler) -> np.ndarray:
-        states = sampler.rows(self.material.states(self.dim).components(z))
-        response = self.response(states)
+        response = self.response(sampler.rows(self.material.states(self.dim).components(z)))
         self.last_failure = response.failure or self.last_failure
         return response.energy
 
@@ -271,8 +270,7 @@ class _SideValues:
 
     def __init__(self, quadrature: Quadrature, fields: UnknownValues, size: int) -> None:
         self._points = SidePoints(quadrature.mesh, quadrature.facet_degree, quadrature.symmetry)
-        z = fields.layout.scalar_space("z")
-        self._z, self._at_points = fields.z, self._points.values(z)
+        self._z, self._at_points = fields.z, self._points.values(fields.layout.scalar_space("z"))
         space = Discontinuous(FacetFESpace(quadrature.mesh, order=fields.layout.unknowns["z"].order))
         values = GridFunction(space ** (1 + size))
         self.energy, self.slope = values.components[0], CF(tuple(values.components[1:]))

@@ -173,8 +173,7 @@ def _at_pressure(
         log(part + (part * part + 1) ** 0.5)
         for part in (bulk_pressure(material, exp(logarithm), {}, theta) / modulus, p / modulus)
     )
-    beyond = if_positive(logarithm - _VACUUM, logarithm - _VACUUM, CF(0.0))
-    excess = law - target - beyond
+    excess = law - target - if_positive(logarithm - _VACUUM, logarithm - _VACUUM, CF(0.0))
     # by ``time - time`` J is evaluated on facets once a step, as linearised forms cannot contain NewtonCF
     J = exp(NewtonCF(excess, CF(0.0), tol=_INVERTED, maxiter=_STEPS)) + (time - time)
     return {v.name: v.from_distortion(J ** (1 / 3) * Id(3)) for v in material.variables if v.is_strain}
@@ -277,8 +276,7 @@ def as_shape(field_name: str, value: object, shape: tuple[int, ...]) -> Coeffici
         1: Words("a ", FUNCTION, f" with {len(shape) and shape[0]} components"),
         2: Words("a 3x3 ", FUNCTION, ", also in 2D"),
     }[len(shape)]
-    number = as_number(value)
-    if not shape and (number is not None or isinstance(value, float)):
+    if not shape and (as_number(value) is not None or isinstance(value, float)):
         return CF(float(value))  # type: ignore[arg-type]  # sampling the data finds NaN and inf
     if len(shape) == 2 and not isinstance(value, CoefficientFunction):
         tensor = as_tensor(value, (shape[0], shape[1]))

@@ -181,8 +181,7 @@ class Rates:
             slope = u.context.given(u.context.recovered_slopes[interface])
         else:
             slope = self._slope_of_mean(interface, u.context.old)
-        dim = u.dim
-        column = linear_map(np.kron(np.eye(3, dim), np.eye(3)[:, :1]), slope, (3, 3))
+        column = linear_map(np.kron(np.eye(3, u.dim), np.eye(3)[:, :1]), slope, (3, 3))
         least = NO_INTERFACE / u.context.h
         return (1 / (square(column) + least * least)) * (column * column.trans)
 

@@ -154,8 +154,7 @@ class WallReactions:
         # a projected energy has the derivative int phi' q, with q the projection of the energy's factor
         is_projected = CF(1.0)
         if energy.projected is None:
-            phi = energy.anywhere(step.now)
-            is_projected = is_number(phi, 0.0, 1.0)
+            is_projected = is_number(energy.anywhere(step.now), 0.0, 1.0)
         factor = if_positive(self._closed, is_projected, 0.0) * normal
         if name in step.walls.multiplied and name not in step.walls.crossed:
             along = self.motions[motion] * step.context.normal

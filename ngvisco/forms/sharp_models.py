@@ -16,11 +16,10 @@ def check_sharp(model: Model, mesh: Mesh, discretisation: Discretisation) -> Non
     material = model.material
     if not isinstance(material, Mixture):
         raise ParameterError(SHARP, True, False, " for a model without bodies")
-    densities = {float(body.density or 0.0) for body in material.bodies}
     for is_wrong, reason in (
         (discretisation.m != 1, " unless m = 1"),
         (
-            len(densities) > 1,
+            len({float(body.density or 0.0) for body in material.bodies}) > 1,
             " for bodies of different densities, since sharpening would change the momentum",
         ),
         (not material.has_one_volume, " for different volumetric energies, since energy would rise"),

@@ -215,8 +215,7 @@ class Sharpening:
         values, is_cut = np.clip(amounts[i] / amounts.sum(axis=0), 0, 1), np.ones(len(theta), dtype=bool)
         height = values
         for _ in range(_PLANES):
-            averaged = self._averaged(values, is_cut * self._volumes)
-            height = np.where(is_cut[:, None], averaged, height)
+            height = np.where(is_cut[:, None], self._averaged(values, is_cut * self._volumes), height)
             has_slope = np.ptp(height, axis=1) > NO_INTERFACE
             height = np.where(has_slope[:, None], height - level(height, theta, self._radii)[:, None], 0.0)
             is_cut = has_slope & (np.minimum(theta, 1 - theta) > _LEAST)

@@ -359,8 +359,7 @@ class Linear(_Node):
         b = _array(other)
         left, right, out = subscripts(self.shape, b.shape)
         sizes = dict(zip(left + right, self.shape + b.shape, strict=True))
-        shape = tuple(sizes[i] for i in out)
-        return Linear(shape, [(self, lambda g: product(out, right, left, g, b.value))])
+        return Linear(tuple(sizes[i] for i in out), [(self, lambda g: product(out, right, left, g, b.value))])
 
     def __rmul__(self, other: Any) -> Linear:
         a = _array(other)

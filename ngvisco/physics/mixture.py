@@ -410,8 +410,7 @@ class Mixture(Material):
                 "the common energy of bodies with different volumetric energies is not an expression; use "
                 "ngvisco.physics.pointwise.respond(material, dim)"
             )
-        volumes = self.volumes(z, 1 / self.fractions.total(z))
-        return reduce(add, (*volumes.values(), *self.shears(z).values()))
+        return reduce(add, (*self.volumes(z, 1 / self.fractions.total(z)).values(), *self.shears(z).values()))
 
     def response(self, dim: int) -> Respond | None:
         if self.has_one_volume:

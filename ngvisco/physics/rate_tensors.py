@@ -91,8 +91,7 @@ class RateTensors:
                     "a rate that is linear in L and Pi together; write any other part of the rate as a term"
                 )
                 raise ParameterError(f"{type(v).__name__}.rate", v.name, expected)
-            affine = result.rate(values[:, samples], mixed[:, None])
-            if _differ(affine[part], of_mixed[part, samples]):
+            if _differ(result.rate(values[:, samples], mixed[:, None])[part], of_mixed[part, samples]):
                 nonlinear.append(v.name)
         return replace(result, nonlinear_variables=tuple(nonlinear))
 
@@ -185,8 +184,7 @@ class RateTensors:
     def opened(self, stress: np.ndarray, openings: np.ndarray) -> np.ndarray:
         """Derivatives by X, (X, ..., points), of a function whose derivatives by openings are ``stress``."""
         opened = np.zeros_like(stress)
-        of_L = np.einsum("x...p,xyp->y...p", stress[: len(openings)], openings)
-        opened[: self.gradients] = of_L
+        opened[: self.gradients] = np.einsum("x...p,xyp->y...p", stress[: len(openings)], openings)
         return opened
 
     def _scattered(self, number: int, values: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:

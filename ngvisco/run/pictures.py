@@ -262,8 +262,7 @@ class _Picture:
             artist.remove()
         points, triangles, between = self._corners(frame)
         # matplotlib mixes the colours of corners, and a mixture of very different colours is not on the scale
-        finer = int(np.clip((_DRAWN / len(triangles)) ** 0.5, 1, _PIECES))
-        lattice, small = subdivision(2, finer)
+        lattice, small = subdivision(2, int(np.clip((_DRAWN / len(triangles)) ** 0.5, 1, _PIECES)))
         weights = np.column_stack([1 - lattice.sum(axis=1), lattice])
         pieces = np.add.outer(np.arange(len(triangles)) * len(weights), small).reshape(-1, 3)
 

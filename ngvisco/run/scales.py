@@ -199,5 +199,4 @@ def typical_velocity(step: Step, sampler: Sampler, dt: float) -> float:
 
 def diameter(mesh: Mesh, ranks: Communicator) -> float:
     """Diagonal of the bounding box of the whole mesh over all ranks, m."""
-    sides = [ranks.most(along) - ranks.least(along) for along in coordinates(mesh).T]
-    return float(np.linalg.norm(sides))
+    return float(np.linalg.norm([ranks.most(along) - ranks.least(along) for along in coordinates(mesh).T]))

@@ -268,8 +268,7 @@ class _Unions:
         """Monomials up to the fields' degree about the cells' centres, (points, functions)."""
         local = (x - self._middle[cells]) / self._size[cells, None]
         powers = itertools.product(range(self._degree + 1), repeat=x.shape[1])
-        functions = [(local**p).prod(axis=1) for p in powers if sum(p) <= self._degree]
-        return np.stack(functions, axis=1)
+        return np.stack([(local**p).prod(axis=1) for p in powers if sum(p) <= self._degree], axis=1)
 
     def _moments(self, values: np.ndarray) -> np.ndarray:
         """Integrals int b_i values_j over the cells, (cells, functions, columns)."""

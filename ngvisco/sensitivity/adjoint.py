@@ -247,7 +247,6 @@ class Adjoint:
             return rows.weights(weights, None, at_end=True)
         if rows.powers:
             states = [self.base.evolved(y) for y in solutions]
-            impulse = self.base.impulse_rows(recorded, states, recorded.after)
-            loads[-1] += rows.of_velocity(weights, impulse)
+            loads[-1] += rows.of_velocity(weights, self.base.impulse_rows(recorded, states, recorded.after))
             self.base.at(recorded.after)
         return rows.weights(weights, solutions[-1], at_end=True)

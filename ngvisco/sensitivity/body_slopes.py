@@ -128,8 +128,7 @@ class BodySlopes:
         volume = sqrt(Det(specialcf.JacobianMatrix(mesh.dim)) ** 2)  # points have the weight 1, not |J|
         form, over = BilinearForm(self.step.layout.space), dx(intrules=lattice.rules)
         form += Variation(sum(f * value for f, value in zip(functions, values, strict=True)) / volume * over)
-        solve = splu(basis_at(space, lattice)).solve
-        return solve, functions, self.variations.applied(form, lambda: None)
+        return splu(basis_at(space, lattice)).solve, functions, self.variations.applied(form, lambda: None)
 
     def _to_state(self, corners: Mapping[str, Corners]) -> np.ndarray:
         """Slope by the state, from slopes by the averaged fractions and the velocity at corners."""

@@ -203,9 +203,8 @@ class Columns:
 
     def _of_fields(self) -> np.ndarray:
         """Values of the ledger's columns of a state."""
-        values = self._values(self._of_state, self.simulation.ledger.state)
         return (
-            values
+            self._values(self._of_state, self.simulation.ledger.state)
             + self._values(self._of_extrema, self.extrema.values)
             + self._values(self._of_norms, self._norms)
         )

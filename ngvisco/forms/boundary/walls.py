@@ -291,8 +291,7 @@ class MovingWalls:
         if name not in self._inverses:
             mass = BilinearForm(space, check_unused=False)
             mass += inner(trial, test) * ds(definedon=region)
-            on_wall = self.constrained(self.layout, (region,) * self.walls.mesh.dim)
-            active = BitArray(list(map(bool, on_wall)))
+            active = BitArray(list(map(bool, self.constrained(self.layout, (region,) * self.walls.mesh.dim))))
             self._inverses[name] = mass.Assemble().mat.Inverse(active, inverse="umfpack")
         load = LinearForm(space)
         load += inner(velocity, test) * ds(definedon=region)

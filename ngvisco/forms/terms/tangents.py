@@ -71,8 +71,7 @@ class TangentForce(PointTerm):
 
     def excess(self, u: Fields) -> CoefficientFunction:
         """The integrand -side N/2 on the boundaries of cells, Pa."""
-        gap = if_positive(_ROUNDING - u.parts[WithoutEnergy.name], u.parts[TangentGap.name], 0.0)
-        return side(u) * gap
+        return side(u) * if_positive(_ROUNDING - u.parts[WithoutEnergy.name], u.parts[TangentGap.name], 0.0)
 
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         return [(w.v * u.context.normal) * self.excess(u)]

@@ -262,10 +262,9 @@ class CreepRate(PointTerm):
 
     def dissipated(self, u: Fields) -> dict[str, CoefficientFunction]:
         size = square(u.grad_Pi)
-        of_gradient = self.rule.gradient_coefficient(size) * size
         return {
             **_dissipation(u),
-            "dissipation_creep_gradient": of_gradient,
+            "dissipation_creep_gradient": self.rule.gradient_coefficient(size) * size,
         }
 
 

@@ -339,8 +339,7 @@ class DruckerPrager(FlowRule):
         phi = math.radians(self.friction_angle)
         strength = math.cos(phi) * value_at(self.cohesion, z) + math.sin(phi) * z[PRESSURE]
         size = norm(M)
-        over = positive(size - math.sqrt(2) * positive(strength))
-        return over / (value_at(self.G_m, z) * size) * M
+        return positive(size - math.sqrt(2) * positive(strength)) / (value_at(self.G_m, z) * size) * M
 
 
 @dataclass(frozen=True, kw_only=True)

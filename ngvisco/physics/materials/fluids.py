@@ -154,8 +154,7 @@ class OldroydB(Material):
         return continued_in_J(self.J_min)
 
     def energy(self, z: Values) -> Tensor:
-        volume = referential_volume(self.K_e, 0.0, 1.0, z["J"], self.J_min)
-        return volume + self.G_e * self.chains(z["B"])
+        return referential_volume(self.K_e, 0.0, 1.0, z["J"], self.J_min) + self.G_e * self.chains(z["B"])
 
     def chains(self, B: Tensor) -> Tensor:
         """The energy of the chains over G_e."""

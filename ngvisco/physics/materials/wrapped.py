@@ -54,8 +54,7 @@ class Carrying(Wrapper):
     def energy(self, z: Values) -> Tensor:
         at_this_point = substituted(self.material, lambda expression: expression.at(z))
         phi = at_this_point.energy({v.name: z[v.name] for v in self.material.variables})
-        of_yield = (law.energy(z["A"], z[content.name], z) for content, law in self.hardening)
-        return reduce(add, of_yield, phi)
+        return reduce(add, (law.energy(z["A"], z[content.name], z) for content, law in self.hardening), phi)
 
     def domain(self, z: Values) -> Values:
         at_this_point = substituted(self.material, lambda expression: expression.at(z))
@@ -245,8 +244,7 @@ class _Approximation:
             H = np.linalg.solve(np.eye(size) + H * self.weights, H)
             H = 0.5 * (H + H.transpose(0, 2, 1))
             # phi'(y) loses no digits for small eps, unlike (z - y)/eps; the next lines correct rounding in y
-            defect = z - y[solved][definite] - self.weights * S
-            S = S + np.einsum("nij,nj->ni", H, defect)
+            S = S + np.einsum("nij,nj->ni", H, z - y[solved][definite] - self.weights * S)
             energy[where] = at_y.energy[solved][definite] + 0.5 * (S * S) @ self.weights
             slope[where], hessian[where] = S, H
         return Response(energy, slope, hessian, self._failure(states, finite, solved, definite))
