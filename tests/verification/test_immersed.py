@@ -38,6 +38,8 @@ def test_energy_is_only_lost_to_viscosity_in_a_fluid_without_divergence():
     assert np.abs(run.divergence(run.u, run.v)).max() < 1e-12 < run.elastic(run.X)[0]
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_the_kept_path_is_the_limit_of_both_kernels():
     """Errors on grids are of first order; both limits agree with the path to a fifth of these."""
     times = np.array([0.0, 1.0])
