@@ -71,7 +71,8 @@ def run(
 
         def whole() -> Mesh:
             nonlocal image
-            return mesh_of(mesh_image(case.mesh()))
+            image = mesh_image(case.mesh())
+            return mesh_of(image)
 
         simulation = case.simulation(_mesh_of_first(case, ranks, whole))
     origin: dict[str, Any] | None = None
