@@ -21,16 +21,7 @@ from ngvisco.case import toml
 from ngvisco.case.catalogue import KINDS
 from ngvisco.case.laws import EnergyText
 from ngvisco.case.schema import CaseSections
-from ngvisco.case.section import (
-    TAGS,
-    Section,
-    inner_tables,
-    models_in,
-    owner_of,
-    place_in,
-    places,
-    quantity,
-)
+from ngvisco.case.section import TAGS, Section, inner_tables, models_in, owner_of, place_in, places, quantity
 from ngvisco.case.values import ValueKind
 from ngvisco.errors import ParameterError
 from ngvisco.run import fields as output

@@ -260,8 +260,7 @@ def _ended(options: argparse.Namespace) -> int:
         return BAD_FILE
     except MemoryError:
         return _say(
-            "there is not enough memory; take a coarser mesh (ngvisco check measures the memory)",
-            FAILED,
+            "there is not enough memory; take a coarser mesh (ngvisco check measures the memory)", FAILED
         )
     except OSError as error:
         streams.give_up(sys.stdout)  # unwritten output would fail again when Python ends

@@ -290,13 +290,7 @@ class _GrowingField:
     """One damage and its slope, with the forms of the second derivative and of the slope at delta = 0."""
 
     def __init__(
-        self,
-        step: Breaking,
-        space: Any,
-        law: Damaged,
-        names: tuple[str, str],
-        weight: Any,
-        driving: Any,
+        self, step: Breaking, space: Any, law: Damaged, names: tuple[str, str], weight: Any, driving: Any
     ) -> None:
         """``names`` are those of damage and slope, ``weight`` the reference volume per actual volume, and
         ``driving`` the energy that the damage degrades, Pa."""

@@ -59,16 +59,7 @@ from ngvisco.forms.mesh.mesh_arrays import mask_of
 from ngvisco.forms.mesh.points import SidePoints
 from ngvisco.forms.reactions import beside_the_stress, rigid_motions
 from ngvisco.forms.system import Step
-from ngvisco.forms.term import (
-    CHANGE,
-    ELASTIC,
-    ENTERING,
-    SKEW,
-    Entry,
-    Integrand,
-    impulses_of,
-    refused_by_name,
-)
+from ngvisco.forms.term import CHANGE, ELASTIC, ENTERING, SKEW, Entry, Integrand, impulses_of, refused_by_name
 from ngvisco.forms.upwinding import jump_power
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Interpolation

@@ -23,10 +23,7 @@ def check_sharp(model: Model, mesh: Mesh, discretisation: Discretisation) -> Non
             " for bodies of different densities, since sharpening would change the momentum",
         ),
         (not material.has_one_volume, " for different volumetric energies, since energy would rise"),
-        (
-            not all(psi.is_linear for psi in material.energies.values()),
-            " unless energies are linear in B",
-        ),
+        (not all(psi.is_linear for psi in material.energies.values()), " unless energies are linear in B"),
         (material.heat is not None, " for bodies with heat"),
         (bool(material.plastic_contents), " for bodies that harden"),
         ({cell.type for cell in mesh.Elements(VOL)} - {ET.TRIG, ET.TET}, " on quadrilaterals"),

@@ -31,15 +31,7 @@ from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
-from ngsolve import (
-    VOL,
-    BilinearForm,
-    BitArray,
-    CoefficientFunction,
-    ElementId,
-    GridFunction,
-    Mesh,
-)
+from ngsolve import VOL, BilinearForm, BitArray, CoefficientFunction, ElementId, GridFunction, Mesh
 
 from ngvisco.forms.boundary.axis import require_symmetry
 from ngvisco.forms.boundary.wall_terms import Impenetrability, passages_of, wall_terms

@@ -8,14 +8,7 @@ from typing import Annotated, Any, ClassVar, TypeAlias
 import numpy as np
 from ngsolve import CF, CoefficientFunction, sqrt, x, y, z
 
-from ngvisco.errors import (
-    ParameterError,
-    Quantity,
-    as_number,
-    as_place,
-    require_effect,
-    require_fields,
-)
+from ngvisco.errors import ParameterError, Quantity, as_number, as_place, require_effect, require_fields
 
 VectorLike: TypeAlias = CoefficientFunction | Sequence[float | CoefficientFunction]
 

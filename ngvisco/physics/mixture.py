@@ -56,13 +56,7 @@ from ngvisco.physics.material import ElasticState, Material
 from ngvisco.physics.materials.damaged import DAMAGE, Damaged
 from ngvisco.physics.materials.perspective import ReferenceEnergy
 from ngvisco.physics.materials.thermal import Entropy, Thermal
-from ngvisco.physics.parameters import (
-    Parameter,
-    distinct,
-    parameters_in,
-    renamed,
-    told_apart,
-)
+from ngvisco.physics.parameters import Parameter, distinct, parameters_in, renamed, told_apart
 from ngvisco.physics.pointwise import respond, rest_state
 from ngvisco.physics.response import Respond
 from ngvisco.physics.tensors import IDENTITY, Tensor, identity_like

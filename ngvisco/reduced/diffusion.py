@@ -41,12 +41,7 @@ class FieldDiffusionRows:
     """The rows of z that ``FieldDiffusion`` makes, and their derivative."""
 
     def __init__(
-        self,
-        step: Step,
-        operators: Operators,
-        slope: PointwiseSlope,
-        term: FieldDiffusion,
-        traces: FacetMass,
+        self, step: Step, operators: Operators, slope: PointwiseSlope, term: FieldDiffusion, traces: FacetMass
     ) -> None:
         """``traces`` provides the facets' functions and the cells across facets; its inverses are not
         used."""

@@ -373,11 +373,7 @@ class FacetTerms(_Terms):
 
 
 def _fields(
-    op: PointOperators,
-    c: Coefficients,
-    names: tuple[Iterable[str], Iterable[str]],
-    place: str,
-    context: Any,
+    op: PointOperators, c: Coefficients, names: tuple[Iterable[str], Iterable[str]], place: str, context: Any
 ) -> Fields:
     """Unknowns at the points, see ``names_of``; values and gradients are computed at first access."""
 

@@ -9,14 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from ngvisco.errors import NgviscoWarning, ParameterError, Quantity, require_fields
 from ngvisco.forms.damage import CRACKED, GROWTH
+from ngvisco.forms.system import Step
 from ngvisco.words import Words, call
-
-if TYPE_CHECKING:
-    from ngvisco.forms.system import Step
 
 MUCH = 0.1
 """Growth of the damage at a point in a step, above which a run warns."""

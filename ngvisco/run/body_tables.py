@@ -185,7 +185,7 @@ class Bodies(Series):
         for name in self.measures:
             if name not in get_args(Measure):
                 raise ParameterError("Bodies.measures", name, f"one of {', '.join(get_args(Measure))}")
-        self._is_said: set[tuple[str, type[NgviscoWarning]]] = set()
+        self._is_said: set[str] = set()
 
     def prepare(self, simulation: Simulation) -> list[str]:
         step, material, dim = simulation.rothe_step, simulation.model.material, simulation.mesh.dim
@@ -305,20 +305,14 @@ class Bodies(Series):
     def _look(self, simulation: Simulation, smeared: np.ndarray) -> None:
         """Warn, once for each body, of a wide interface."""
         for name, width in zip(self.names, smeared, strict=True):
-            if name not in self._placed:
-                continue
-            if width > _WIDE:
+            if name in self._placed and width > _WIDE and name not in self._is_said:
+                self._is_said.add(name)
                 message = (
-                    f"the interface of the body {name!r} is {width:.2g} cells wide and widens further; take "
-                    "smaller cells, discretisation.m = 2, or an earlier end of the run"
+                    f"at t = {simulation.t:.4g} s the interface of the body {name!r} is {width:.2g} cells "
+                    "wide and widens further; take smaller cells, discretisation.m = 2, or an earlier end of "
+                    "the run"
                 )
-                self._warn(simulation, name, message, SmearedWarning)
-
-    def _warn(self, simulation: Simulation, name: str, message: str, kind: type[NgviscoWarning]) -> None:
-        """Warn of a body; each kind of warning is given once for each body."""
-        if (name, kind) not in self._is_said:
-            self._is_said.add((name, kind))
-            simulation.ranks.warn(f"at t = {simulation.t:.4g} s {message}", kind, stacklevel=5)
+                simulation.ranks.warn(message, SmearedWarning, stacklevel=4)
 
 
 def require_bodies(owner: str, material: Any) -> tuple[Any, ...]:

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from ngsolve import CF, L2, CoefficientFunction, GridFunction, VectorValued, x, y, z
 
+from ngvisco.forms.system import Step
+from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.mixture import Mixture
 from ngvisco.run.frames import Lattice, places
 from ngvisco.run.outlines import Cut, facing, level_surface
 from ngvisco.run.periods import Periods, merged
-
-if TYPE_CHECKING:
-    from ngvisco.forms.system import Step
-    from ngvisco.parallel.communicator import Communicator
 
 HALF = 0.5
 """Volume fraction above which a point belongs to a body."""

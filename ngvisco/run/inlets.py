@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ngsolve import CoefficientFunction
 
 from ngvisco.errors import NgviscoWarning
 from ngvisco.forms.given_values import is_let_in_by_pressure
+from ngvisco.forms.system import Step
 from ngvisco.physics.material import rest_stress_and_modulus
 from ngvisco.physics.tensors import square, sym
-
-if TYPE_CHECKING:
-    from ngvisco.forms.system import Step
 
 _MATTERS = 0.01
 """Share of all powers that matter may lose where it flows in, and of the mass that may come in with a density

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from ngvisco.errors import NgviscoWarning
+from ngvisco.forms.system import Step
+from ngvisco.parallel.communicator import Communicator
 from ngvisco.run.fraction_samples import FractionSamples
-
-if TYPE_CHECKING:
-    from ngvisco.forms.system import Step
-    from ngvisco.parallel.communicator import Communicator
 
 _MOVED = 0.25
 """Largest number of cells that matter moves between two looks at the surfaces."""

@@ -115,9 +115,7 @@ class OutlineSlopes:
             )
             return (values + np.einsum("ij,pi,pj->p", by_mixed, v, x) - (by_mixed * mixed).sum()) / area
 
-        of_velocity = self._of_velocity(
-            lambda at: (at[:, :, _PLACE] - moments.centre) @ by_mixed.T / area,
-        )
+        of_velocity = self._of_velocity(lambda at: (at[:, :, _PLACE] - moments.centre) @ by_mixed.T / area)
         return self._of_region(density), of_velocity
 
     def _mean_velocity(self) -> np.ndarray:

@@ -20,16 +20,7 @@ import numpy as np
 from ngvisco.errors import NgviscoError, ParameterError, UnknownNameError, as_number
 from ngvisco.run.simulation import Observer, Simulation
 
-_OF_MODEL = (
-    "material",
-    "viscosity",
-    "hyperviscosity",
-    "creep",
-    "heat",
-    "regularisation",
-    "loads",
-    "bodies",
-)
+_OF_MODEL = ("material", "viscosity", "hyperviscosity", "creep", "heat", "regularisation", "loads", "bodies")
 _OF_RUN = ("initial", "walls")
 _IN_FRONT = ("rheology", "model")
 PART = "part of a run"

@@ -14,13 +14,7 @@ from typing import Annotated
 import numpy as np
 from ngsolve import CoefficientFunction, GridFunction, Mesh
 
-from ngvisco.errors import (
-    ParameterError,
-    Quantity,
-    UnknownNameError,
-    as_place,
-    require_fields,
-)
+from ngvisco.errors import ParameterError, Quantity, UnknownNameError, as_place, require_fields
 from ngvisco.shapes.fractions import fractions
 from ngvisco.shapes.places import Places
 

@@ -12,12 +12,7 @@ from typing import Annotated, Literal, TypeAlias, get_args
 
 from ngsolve.la import SparseMatrixd
 
-from ngvisco.errors import (
-    ParameterError,
-    Quantity,
-    require_effect,
-    require_fields,
-)
+from ngvisco.errors import ParameterError, Quantity, require_effect, require_fields
 from ngvisco.parallel.petsc import obstacle
 
 Method: TypeAlias = Literal["auto", "coupled", "split"]

@@ -58,10 +58,7 @@ class RotheSolver:
     """
 
     def __init__(
-        self,
-        step: Step,
-        options: NewtonOptions,
-        defect: Callable[[], str | None] = lambda: None,
+        self, step: Step, options: NewtonOptions, defect: Callable[[], str | None] = lambda: None
     ) -> None:
         self.step, self.options, self.defect = step, options, defect
         self.ranks = Communicator.of(step.mesh)

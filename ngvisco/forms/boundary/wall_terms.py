@@ -87,10 +87,7 @@ class Impenetrability(PointTerm):
 
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         n = u.context.normal
-        return [
-            self.indicator * u.wall_stress * (w.v * n),
-            self.indicator * w.wall_stress * (u.v * n),
-        ]
+        return [self.indicator * u.wall_stress * (w.v * n), self.indicator * w.wall_stress * (u.v * n)]
 
 
 class Piston(OnWall):

@@ -21,16 +21,7 @@ from ngvisco.errors import ParameterError
 from ngvisco.forms.boundary.boundaries import facet_indicator
 from ngvisco.forms.boundary.walls import Walls
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.term import (
-    PLACES,
-    PRODUCTION,
-    Entry,
-    Integrand,
-    PointRule,
-    PointTerm,
-    Term,
-    dissipations,
-)
+from ngvisco.forms.term import PLACES, PRODUCTION, Entry, Integrand, PointRule, PointTerm, Term, dissipations
 from ngvisco.forms.terms.fluxes import Flux, component
 from ngvisco.physics.heat import HeatLaw, WallHeat
 from ngvisco.physics.materials.thermal import NO_TEMPERATURE, Entropy, entropy_in

@@ -262,10 +262,7 @@ class CreepRate(PointTerm):
 
     def dissipated(self, u: Fields) -> dict[str, CoefficientFunction]:
         size = square(u.grad_Pi)
-        return {
-            **_dissipation(u),
-            "dissipation_creep_gradient": self.rule.gradient_coefficient(size) * size,
-        }
+        return {**_dissipation(u), "dissipation_creep_gradient": self.rule.gradient_coefficient(size) * size}
 
 
 def _dissipation(u: Fields) -> dict[str, CoefficientFunction]:

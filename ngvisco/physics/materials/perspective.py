@@ -25,13 +25,7 @@ from ngvisco.physics.material import ElasticState, Material, part_of
 from ngvisco.physics.materials.damaged import DAMAGE, Damaged, WithoutCracks
 from ngvisco.physics.materials.network import Network
 from ngvisco.physics.materials.thermal import Thermal
-from ngvisco.physics.parameters import (
-    Modulus,
-    Parameter,
-    distinct,
-    parameters_in,
-    substituted,
-)
+from ngvisco.physics.parameters import Modulus, Parameter, distinct, parameters_in, substituted
 from ngvisco.physics.pointwise import respond, rest_state, slope_at
 from ngvisco.physics.tensors import IDENTITY, Tensor, log
 from ngvisco.physics.variables import (
