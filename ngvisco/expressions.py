@@ -400,11 +400,6 @@ _BINARY: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
 }
 
 
-def _tanh(a: Any) -> Any:
-    # each branch uses the exponential that does not overflow
-    return if_positive(a, 1 - 2 / (exp(2 * a) + 1), 2 / (exp(-2 * a) + 1) - 1)
-
-
 def _of_exponentials(a: Any, sign: float) -> Any:
     """The function sinh (sign -1) or cosh (sign 1), also for arrays."""
     if isinstance(a, CoefficientFunction):
@@ -421,7 +416,8 @@ FUNCTIONS: dict[str, tuple[int, Callable[..., float], Callable[..., Any]]] = {
     "abs": (1, abs, lambda a: if_positive(a, a, -a)),
     "sinh": (1, math.sinh, lambda a: _of_exponentials(a, -1.0)),
     "cosh": (1, math.cosh, lambda a: _of_exponentials(a, 1.0)),
-    "tanh": (1, math.tanh, _tanh),
+    # each branch uses the exponential that does not overflow
+    "tanh": (1, math.tanh, lambda a: if_positive(a, 1 - 2 / (exp(2 * a) + 1), 2 / (exp(-2 * a) + 1) - 1)),
     "min": (2, min, lambda a, b: if_positive(a - b, b, a)),
     "max": (2, max, lambda a, b: if_positive(a - b, a, b)),
 }

@@ -163,11 +163,8 @@ class RunDirectory:
             if self.path.is_dir():
                 what = "this directory is not a run directory, since case.toml is missing"
             else:
-                what = (
-                    "this is a file, not a run directory"
-                    if self.path.exists()
-                    else "this directory does not exist"
-                )
+                exists = self.path.exists()
+                what = "this is a file, not a run directory" if exists else "this directory does not exist"
             raise RunDirectoryError(f"{self.path}: {what}")
         return load_case(self.case_file)
 

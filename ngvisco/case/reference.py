@@ -107,9 +107,8 @@ def _walk(models: Sequence[type[Section]], path: tuple[str, ...]) -> Iterator[Ke
         yield KeyEntry((*path, tag), (), kinds, "", required, default, "Kind of the table", names[0])
     for model in models:
         keys = [(name, field) for name, field in model.model_fields.items() if name not in TAGS]
-        for name, field in sorted(
-            keys, key=lambda key: bool(models_in(key[1].annotation))
-        ):  # tables come last
+        # tables come last
+        for name, field in sorted(keys, key=lambda key: bool(models_in(key[1].annotation))):
             inner, annotation = models_in(field.annotation), quantity(model, name)
             default = None if inner or field.is_required() else field.default
             is_empty = default in (None, "", [], {}, False) and annotation.example is not None
@@ -124,9 +123,8 @@ def _walk(models: Sequence[type[Section]], path: tuple[str, ...]) -> Iterator[Ke
                 None if inner else annotation.example if is_empty else default,
             )
             below = (*path, name, *place_in(field.annotation))
-            if (
-                inner and below not in _same_keys()
-            ):  # keys of such tables are listed under the other table alone
+            # keys of tables that stand in two places are listed under the other table alone
+            if inner and below not in _same_keys():
                 yield from _walk(inner, below)
 
 

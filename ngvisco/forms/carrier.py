@@ -107,13 +107,8 @@ class Carrier:
         self._traces.Project(reduced)
         solution.vec[:] = 0.0
         if reduced.Norm() > 0:
-            solver = GMRESSolver(
-                mat=form.mat,
-                pre=self._preconditioner.mat,
-                tol=TOLERANCE,
-                maxiter=ITERATIONS,
-                printrates=False,
-            )
+            pre = self._preconditioner.mat
+            solver = GMRESSolver(form.mat, pre, tol=TOLERANCE, maxiter=ITERATIONS, printrates=False)
             solution.vec.data = solver * reduced
             # one iteration solves the system of a body at rest, and GMRES lists no residual of that iteration
             rest = (reduced - form.mat * solution.vec).Evaluate()

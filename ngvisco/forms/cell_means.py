@@ -82,9 +82,8 @@ class CellMeans:
     def coefficients(self, name: str) -> np.ndarray:
         """View of the present coefficients of ``"rho"`` or ``"z"``, (components, functions)."""
         state = self.step.state.vec.FV().NumPy()[self.step.layout.ranges[name]]
-        return state.reshape(
-            1 if name == "rho" else self.step.layout.states.size, -1
-        )  # a rank may have no cells
+        # a rank may have no cells
+        return state.reshape(1 if name == "rho" else self.step.layout.states.size, -1)
 
     def functions(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Numbers of the functions in the cells of a mask, (cells,), and the cell of each function."""

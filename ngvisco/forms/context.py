@@ -206,11 +206,8 @@ class Context:
     def _mean(
         self, value: CoefficientFunction, walls: Region | None, is_even: bool = False
     ) -> tuple[GridFunction, TimeMean]:
-        mean = (
-            mean_in_cells(value, self.mesh, self._degree)
-            if walls is None
-            else mean_on_walls(value, self.mesh, self._degree, walls)
-        )
+        mean_of = mean_in_cells if walls is None else partial(mean_on_walls, walls=walls)
+        mean = mean_of(value, self.mesh, self._degree)
         begin, over, tilt = self.loads_window
         mean[1].update(begin, over, 0.0 if is_even else tilt)
         return mean

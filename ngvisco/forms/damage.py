@@ -377,11 +377,8 @@ class _DamageHeat:
         """Add the heat ``xi``, J/m^3, to the present state; return power, W, and entropy, W/K, by columns."""
         state, ranges, unit = self.step.state.vec.FV().NumPy(), self.step.layout.ranges, self.entropy.unit
         s = state[ranges["z"]].reshape(self.step.layout.states.size, -1)[self._place]
-        before, heat, energy = (
-            s.copy(),
-            self.step.quadrature.each_cell(xi),
-            self.step.quadrature.each_cell(self._heat),
-        )
+        before, of_cells = s.copy(), self.step.quadrature.each_cell
+        heat, energy = of_cells(xi), of_cells(self._heat)
         self._added.Set((1 / unit) * xi / self._theta)
         direction = GridFunction(self._added.space)
         direction.vec.data = self._added.vec

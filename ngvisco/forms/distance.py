@@ -71,10 +71,8 @@ class BregmanDistance:
         parts_of = _by_columns(NUMERICAL, [(term, term.distance(a, b)) for term in terms])
         entries = {name: Entry(name, "numerical", part) for name, part in parts_of.items()}
         self._distance = EntryIntegrals(step.quadrature, entries)
-        moved = GivenParts(
-            {**parts[0]},
-            "has a slope that reads the change of {name}, although a slope is taken at fixed momentum",
-        )
+        fault = "has a slope that reads the change of {name}, although a slope is taken at fixed momentum"
+        moved = GivenParts({**parts[0]}, fault)
         del moved["v"]
         d, slopes = Fields(layout, moved), []
         for term in terms:

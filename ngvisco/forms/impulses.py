@@ -259,14 +259,9 @@ class Impulses:
         defects = thrust - left.get(ENTERING, none), of_cells_, -left[SKEW]
         return impulses | dict(zip(DEFECTS, defects, strict=True))
 
-    @cached_property
-    def _has_arrays(self) -> bool:
-        """Whether arrays can evaluate the energy."""
-        return self.step.energy.projected is None
-
     def _by_arrays(self) -> dict[str, np.ndarray]:
         """Elastic force on facets by arrays, from the terms' integrands with w = n; empty without arrays."""
-        sides = self.on_sides() if self._has_arrays else None
+        sides = self.on_sides() if self.step.energy.projected is None else None
         if sides is None:
             return {}
         points, parts = sides

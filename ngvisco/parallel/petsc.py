@@ -76,11 +76,9 @@ def obstacle(method: str) -> str | None:
         has = packages()
     except PETScError as error:
         return str(error)
-    return (
-        None
-        if has.get(method, True)
-        else f"this PETSc was built without {method}; expected a PETSc with {method}"
-    )
+    if has.get(method, True):
+        return None
+    return f"this PETSc was built without {method}; expected a PETSc with {method}"
 
 
 def require_petsc(communicator: Communicator) -> None:

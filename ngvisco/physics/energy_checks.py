@@ -302,15 +302,9 @@ def check_convexity(
         return ConvexityReport(samples)
     reachable, at, along = violation
     near = rest_state(material, dim)[None] if states is None else np.asarray(states, dtype=float)
-    report = ConvexityReport(
-        samples,
-        worst,
-        sampling.named(at),
-        sampling.named(along),
-        reachable,
-        float(np.linalg.norm(near - at, axis=1).min()),
-        states is not None,
-    )
+    distance = float(np.linalg.norm(near - at, axis=1).min())
+    point, direction = sampling.named(at), sampling.named(along)
+    report = ConvexityReport(samples, worst, point, direction, reachable, distance, states is not None)
     if warn:
         warnings.warn(
             f"{type(material).__name__}: the stored energy is {report}. The scheme stays consistent, "

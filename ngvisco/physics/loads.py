@@ -83,12 +83,8 @@ class CentralGravity:
     def __post_init__(self) -> None:
         object.__setattr__(self, "centre", as_place("CentralGravity.centre", self.centre))
         require_fields(self)
-        require_effect(
-            self,
-            self.exponent != 0,
-            "with exponent = 0, where the force is the same at every radius",
-            "radius",
-        )
+        fault = "with exponent = 0, where the force is the same at every radius"
+        require_effect(self, self.exponent != 0, fault, "radius")
 
     @property
     def g(self) -> CoefficientFunction:

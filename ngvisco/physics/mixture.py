@@ -416,16 +416,10 @@ class Mixture(Material):
         entropy = () if self.heat is None else (Entropy("S"),)
         of_volume = (Jacobian("J"), *entropy, *self.parameters)
         names = [body.name for body in self.bodies]
-        return InEquilibrium(
-            self.states(dim),
-            names,
-            EnergyPart(shear, self.variables, self.linear_in_shears),
-            [EnergyPart(partial(self.volumetric, name), of_volume) for name in names],
-            self.parameters,
-            self.heat,
-            self.damages,
-            self.driving,
-        )
+        shears = EnergyPart(shear, self.variables, self.linear_in_shears)
+        volumetric = [EnergyPart(partial(self.volumetric, name), of_volume) for name in names]
+        known = self.parameters, self.heat, self.damages, self.driving
+        return InEquilibrium(self.states(dim), names, shears, volumetric, *known)
 
 
 def _with_own_names(body: Body) -> Body:

@@ -342,30 +342,22 @@ def _faults(body: Body, bodies: Sequence[Body]) -> Iterable[tuple[str, str]]:
     thermal = [member.material for member in warm if isinstance(member.material, Thermal)]
     units = {part.entropy_unit for part in thermal if part.entropy_unit is not None}
     if warm and body not in warm:
-        yield (
-            "material",
-            Words(thermal_law, f" as for {warm[0].name!r}, since all bodies have one temperature"),
-        )
+        expected = f" as for {warm[0].name!r}, since all bodies have one temperature"
+        yield "material", Words(thermal_law, expected)
     if body in warm and not isinstance(material, Thermal):
-        yield (
-            "material",
-            Words(thermal_law, ", since the entropy of a body does not follow from other energies"),
-        )
+        expected = ", since the entropy of a body does not follow from other energies"
+        yield "material", Words(thermal_law, expected)
     if len(units) > 1:
-        yield (
-            "material",
-            f"materials with one entropy_unit, not {sorted(units)}, since bodies share one entropy",
-        )
+        expected = f"materials with one entropy_unit, not {sorted(units)}, since bodies share one entropy"
+        yield "material", expected
     if heat is not None and not warm:
         yield "heat", NO_TEMPERATURE
     if heat is not None and heat.numerical_heating:
         together = Words(False, ", since the scheme heats all bodies together; see ", Mention("Model.heat"))
         yield "heat.numerical_heating", together
     if getattr(material, "J_min", None) is not None:
-        yield (
-            "material",
-            "a material without J_min, since the continued energy is not convex per reference volume",
-        )
+        expected = "a material without J_min, since the continued energy is not convex per reference volume"
+        yield "material", expected
     for branch, rule in body.rules.items():
         key = "creep" if branch is None else "material"
         if rule.nu:
@@ -379,14 +371,8 @@ def _faults_of_damage(
 ) -> Iterable[tuple[str, str]]:
     """Yield the faults of a body with damage, as pairs of the key and the value that would be right."""
     if broken is not material:
-        around = call("Damaged", material=...)
-        yield (
-            "material",
-            Words(
-                around,
-                " itself, since a material that wraps a damaged one does not give the damage of the body",
-            ),
-        )
+        expected = " itself, since a material that wraps a damaged one does not give the damage of the body"
+        yield "material", Words(call("Damaged", material=...), expected)
     if broken.area == "reference":
         yield "material.area", "'actual', since a body does not carry the distortion from its start"
     if broken.breaking is not None:

@@ -187,9 +187,7 @@ def _rows_of(path: str) -> np.ndarray:
             expected = f"numbers in line {number} of {path!r}"
             raise ParameterError("table", ",".join(parts), expected) from None
         if len(rows[-1]) != len(rows[0]):
-            count, expected = (
-                f"{len(rows[-1])} numbers",
-                f"{len(rows[0])} numbers in line {number} of {path!r}, as in the lines before",
-            )
+            count = f"{len(rows[-1])} numbers"
+            expected = f"{len(rows[0])} numbers in line {number} of {path!r}, as in the lines before"
             raise ParameterError("table", count, expected)
     return np.array(rows).reshape(len(rows), -1 if rows else 0)

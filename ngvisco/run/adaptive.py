@@ -86,12 +86,8 @@ class GrowthControl:
     def require(self, step: Step) -> None:
         """Raise ParameterError if growth is bounded and the material does not break."""
         if self.most is not None and step.damage is None:
-            expected = (
-                None,
-                " for a material without damage; ",
-                call("Damaged", material=...),
-                " has damage",
-            )
+            damaged = call("Damaged", material=...)
+            expected = (None, " for a material without damage; ", damaged, " has damage")
             raise ParameterError("AdaptiveSteps.damage_growth", self.most, *expected)
 
     def allowed(self, tau: float, rates: Mapping[str, float], safety: float) -> float:

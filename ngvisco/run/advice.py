@@ -116,11 +116,6 @@ class Scales:
         return float(self.speeds[0] ** 2 / max(self.velocity**2, viscous))
 
     @property
-    def _is_incompressible(self) -> bool:
-        """Whether a flow is slow beside its pressure waves, and the steps do not follow these waves."""
-        return self._over_flow > _LOCKS and self.dt * _FOLLOWED > self.passage
-
-    @property
     def numbers(self) -> dict[str, float]:
         """Dimensionless numbers by name, without those that do not exist or are not known."""
         fast, slow = self.speeds
@@ -195,7 +190,8 @@ class Scales:
                 f"the longitudinal modulus is {ratio:.2g} times the shear modulus, so that steps are hard "
                 "to solve" + "".join(f"; {remedy}" for remedy in remedies)
             )
-        if self.k == 2 and slow == 0 and self._is_incompressible:
+        # the flow is slow beside its pressure waves, and the steps do not follow these waves
+        if self.k == 2 and slow == 0 and self._over_flow > _LOCKS and self.dt * _FOLLOWED > self.passage:
             lines.append(
                 f"the longitudinal modulus is {self._over_flow:.2g} times the stress of the flow, the larger "
                 "of rho v^2 and G_v v/L. Cells with k = 2 then lock: they damp motions at constant volume. "

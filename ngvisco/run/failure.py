@@ -213,10 +213,8 @@ def _advice(simulation: RunState, violation: Violation | None, courant: float, r
         f"a finer mesh {near}, or data that are smooth there (as equal velocities of walls that meet)"
     )
     if violation.quantity in domain:
-        return [
-            *lines,
-            f"an energy that has values also outside of {violation.quantity} > 0, or smaller loads",
-        ]
+        lines.append(f"an energy that has values also outside of {violation.quantity} > 0, or smaller loads")
+        return lines
     if violation.quantity != "rho":
         lines.append("an energy that rises faster as the volume goes to zero (material.epsilon, kappa)")
         lines.append("material.J_min or a Yosida approximation, with which a run may pass J = 0")

@@ -201,10 +201,8 @@ class BodySlopes:
         if name not in self._averages:
             tractions, step = self.table.tractions, self.step
             assert tractions is not None
-            weights, at_vertices = (
-                GridFunction(L2(step.mesh, order=1)),
-                GridFunction(tractions.chi[name].space),
-            )
+            weights = GridFunction(L2(step.mesh, order=1))
+            at_vertices = GridFunction(tractions.chi[name].space)
             lattice, of_cells = Lattice(step.mesh, 1), at_vertices.space
             met = [of_cells.GetDofNrs(ElementId(VOL, cell)) for cell in range(step.mesh.ne)]
             counts = np.bincount(np.concatenate([np.array(dofs) for dofs in met]), minlength=of_cells.ndof)

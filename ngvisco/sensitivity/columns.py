@@ -183,10 +183,6 @@ class Columns:
                 self._put(values, table, places)
         return values
 
-    def of_distances(self, distances: Mapping[str, float], tau: float) -> np.ndarray:
-        """Contributions to the columns' means by the scheme's dissipation in a step of length ``tau``, J."""
-        return np.array([distances.get(name, 0.0) / tau for name in self.names])
-
     def at_end(self, means: np.ndarray, of_state: np.ndarray, tau: float) -> np.ndarray:
         """The columns at the end of a step of length ``tau``, from means and the result of ``state``, or from
         derivatives of both."""

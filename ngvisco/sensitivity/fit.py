@@ -273,14 +273,10 @@ class _Search:
             result = None
             if numbers["is_solved"]:
                 self.alone = numbers["alone"]
+                by = tuple(parameter.name for parameter in self.parameters)
+                values, jacobian, at = (arrays[name] for name in ("values", "jacobian", "at"))
                 result = Gradient(
-                    of=tuple(self.of),
-                    by=tuple(parameter.name for parameter in self.parameters),
-                    values=arrays["values"],
-                    jacobian=arrays["jacobian"],
-                    at=arrays["at"],
-                    limited=int(numbers["limited"]),
-                    seconds=self.alone,
+                    tuple(self.of), by, values, jacobian, at, int(numbers["limited"]), self.alone
                 )
             self.kept[arrays["unknowns"].tobytes()] = result
             self.runs, self.spent = self.runs + 1, numbers["spent"]

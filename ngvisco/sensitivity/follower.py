@@ -9,7 +9,7 @@ import numpy as np
 from ngsolve import BilinearForm, LinearForm
 
 from ngvisco.forms.context import time
-from ngvisco.forms.distance import NUMERICAL, BregmanDistance
+from ngvisco.forms.distance import NUMERICAL
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.system import Evolved
 from ngvisco.physics.tensors import inner
@@ -175,13 +175,9 @@ class Follower:
         """
         total = dict.fromkeys(NUMERICAL, 0.0)
         for weight, k, i in recorded.distances if self.columns.has_distances else []:
-            for name, distance in self._distance(states[k], states[i]).items():
+            for name, distance in self.simulation.integrator.distance(states[k], states[i]).items():
                 total[name] += weight * distance
-        return self.columns.of_distances(total, recorded.tau)
-
-    @cached_property
-    def _distance(self) -> BregmanDistance:
-        return self.simulation.integrator.distance
+        return np.array([total.get(name, 0.0) / recorded.tau for name in self.columns.names])
 
     def _momentum_rows(self) -> np.ndarray:
         self.momentum.Apply(self.step.state.vec, self._residual)

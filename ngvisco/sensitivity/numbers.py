@@ -145,11 +145,9 @@ class Numbers:
         ``balances`` has the columns that are defects of balances, see ``Momentum.balances``.  Raises
         ParameterError for an invalid text, and for a time outside the run.
         """
-        given = (
-            of
-            if isinstance(of, Mapping)
-            else {str(text): text for text in require_collection("of", of, 'texts such as "kinetic at 0.5"')}
-        )
+        expected = 'texts such as "kinetic at 0.5"'
+        texts = () if isinstance(of, Mapping) else require_collection("of", of, expected)
+        given = of if isinstance(of, Mapping) else {str(text): text for text in texts}
         numbers: list[Wanted] = []
         named: dict[str, tuple[slice, Misfit | None]] = {}
         for name, request in given.items():

@@ -272,12 +272,6 @@ def _step_of(numbers: Mapping[str, float], arrays: Mapping[str, np.ndarray]) -> 
         stages.append(
             Stage(of_stage["state"], of_stage["starts"], float(of_stage["share"]), interval, stresses)
         )
-    return RecordedStep(
-        numbers["begin"],
-        numbers["end"],
-        arrays["state"],
-        tuple(stages),
-        arrays["weights"],
-        arrays["after"],
-        bool(numbers["is_combined"]),
-    )
+    state, weights, after = (arrays[name] for name in ("state", "weights", "after"))
+    is_combined = bool(numbers["is_combined"])
+    return RecordedStep(numbers["begin"], numbers["end"], state, tuple(stages), weights, after, is_combined)

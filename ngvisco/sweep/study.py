@@ -229,10 +229,8 @@ class Study:
         event = Event(f"ngvisco-stop-{uuid.uuid4().hex}", client=client)
         numbers = {}
         for number in todo:
-            files = (
-                str(self._case_file(self.outcomes[number].name)),
-                str(self._place(self.outcomes[number]).path),
-            )
+            outcome = self.outcomes[number]
+            files = str(self._case_file(outcome.name)), str(self._place(outcome).path)
             # not pure: dask must run a stopped case again rather than return its earlier result
             future = client.submit(run_or_resume, *files, threads, event.name, pure=False)
             numbers[future] = number

@@ -195,9 +195,8 @@ def _kinks(mesh: Mesh, wall: Region) -> tuple[list[float], list[float]]:
     near: dict[frozenset[bytes], list[_Facet]] = {}
     for facets in Communicator.of(mesh).gathered(_facets(mesh, wall)):  # neighbours may be on two ranks
         for facet in facets:
-            for part in combinations(
-                facet[1], mesh.dim - 1
-            ):  # the common part of a facet and its neighbour: a vertex, in 3D an edge
+            # the common part of a facet and its neighbour is a vertex, in 3D an edge
+            for part in combinations(facet[1], mesh.dim - 1):
                 near.setdefault(frozenset(part), []).append(facet)
     chords, left = [], []
     for part, both in near.items():

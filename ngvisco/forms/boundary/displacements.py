@@ -42,18 +42,9 @@ class Displacement(OnWall):
         self._size = float(area) ** (1 / (walls.mesh.dim - 1))
 
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
-        return (
-            Unknown(
-                self.displacement,
-                "walls",
-                setting.k,
-                setting.dim,
-                space=partial(_traces, name=self.name, order=setting.k),
-                evolves=True,
-                scale=self._size,
-                on=self.indicator,
-            ),
-        )
+        traces = partial(_traces, name=self.name, order=setting.k)
+        kind = {"space": traces, "evolves": True, "scale": self._size, "on": self.indicator}
+        return (Unknown(self.displacement, "walls", setting.k, setting.dim, **kind),)
 
     def on_body(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         return []

@@ -276,12 +276,9 @@ class Carried(OnWall):
             -inner(self._added(u, "z"), w.z),
         ]
 
-    def half_carried(self, u: Fields, w: Fields) -> CoefficientFunction:
-        """Half of the outgoing momentum, 1/2 j v . w; inertia's skew form has the other half."""
-        return 0.5 * self._mass_flux(u) * (w.v * u.v)
-
     def impulses(self, u: Fields, w: Fields) -> dict[str, list[Integrand]]:
-        (stored, kinetic, _), half = self.facets(u, w), self.half_carried(u, w)
+        # inertia's skew form has the other half of the outgoing momentum
+        (stored, kinetic, _), half = self.facets(u, w), 0.5 * self._mass_flux(u) * (w.v * u.v)
         return {
             ENTERING: [Integrand(facets=stored)],
             SKEW: [Integrand(facets=-half)],
@@ -293,12 +290,8 @@ class Carried(OnWall):
         return [0.5 * (self._carried_momentum(u) - self._mass_flux(u)) * (u.v * w.v)] if self.backflow else []
 
     def entries(self, u: Fields) -> list[Entry]:
-        name, normal_velocity, inward, flux = (
-            self.name,
-            self._normal_velocity(u),
-            self._inward(u),
-            self._mass_flux(u),
-        )
+        name, normal_velocity = self.name, self._normal_velocity(u)
+        inward, flux = self._inward(u), self._mass_flux(u)
         stored = inward * self._stored_outside(u) - (normal_velocity + inward) * self._stored(u)
         mixing = inward * (self._stored_outside(u) - self._stored(u)) - inner(self._added(u, "z"), u.zeta)
         entries = [

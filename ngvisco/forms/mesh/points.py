@@ -45,10 +45,8 @@ of its facet."""
 def csr(matrix: BaseMatrix) -> sp.csr_matrix:
     """Copy an NGSolve sparse matrix, or this rank's part of a distributed one, to a scipy matrix."""
     values, columns, rows = getattr(matrix, "local_mat", matrix).CSR()
-    return sp.csr_matrix(
-        (values.NumPy().copy(), columns.NumPy().copy(), np.asarray(rows.NumPy(), dtype=np.int64)),
-        shape=(matrix.height, matrix.width),
-    )
+    parts = values.NumPy().copy(), columns.NumPy().copy(), np.asarray(rows.NumPy(), dtype=np.int64)
+    return sp.csr_matrix(parts, shape=(matrix.height, matrix.width))
 
 
 class CellPoints:

@@ -54,12 +54,8 @@ class Hyperviscosity(PointTerm):
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
         k, dim = setting.k, setting.dim
         if k < 2:
-            expected = (
-                None,
-                " with ",
-                call("Discretisation", k=1),
-                ", since the velocity is then linear in cells; a hyperviscosity needs k = 2 or 3",
-            )
+            reason = ", since the velocity is then linear in cells; a hyperviscosity needs k = 2 or 3"
+            expected = (None, " with ", call("Discretisation", k=1), reason)
             raise ParameterError("Model.hyperviscosity", self.law, *expected)
         tensors = dim * hessian_basis(dim).shape[1]
         unknowns = [Unknown("hess", "cells", k - 2, tensors), Unknown("hyperstress", "cells", k - 2, tensors)]

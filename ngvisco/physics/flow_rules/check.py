@@ -76,15 +76,8 @@ def check_viscosity(law: Viscosity, material: Material) -> None:
             stresses = [np.broadcast_to(stress, eps.shape) for stress in unshaped]
         power, risen = (((stress * eps).sum(axis=(0, 1)) / sizes) for stress in stresses)
         tested, large = np.isfinite(power) & np.isfinite(risen), np.sqrt((stresses[0] ** 2).sum(axis=(0, 1)))
-        _refuse(
-            f"{name}.stress",
-            power < -_ROUNDING * large,
-            tested,
-            power,
-            sizes,
-            "a stress with D(eps) : eps/|eps| >= 0",
-            "eps",
-        )
+        expected = "a stress with D(eps) : eps/|eps| >= 0"
+        _refuse(f"{name}.stress", power < -_ROUNDING * large, tested, power, sizes, expected, "eps")
         falls = risen - power < -_ROUNDING * large
         expected = "a rise >= 0 of the stress along eps from eps to 1.001 eps, as a convex potential requires"
         _refuse(f"{name}.stress", falls, tested, risen - power, sizes, expected, "eps")
@@ -114,18 +107,11 @@ def check_rule(rule: FlowRule, material: Material) -> None:
         tested = np.isfinite(power) & np.isfinite(size)
         if not tested.any():
             raise ParameterError(f"{name}.rate", rule, "finite rates for some M between 1e-9 and 1e12 Pa")
-        _refuse(
-            f"{name}.rate", power < -_ROUNDING * size * sizes, tested, power, sizes, "a power M : Pi >= 0"
-        )
+        wrong = power < -_ROUNDING * size * sizes
+        _refuse(f"{name}.rate", wrong, tested, power, sizes, "a power M : Pi >= 0")
         skew = abs(Pi - Pi.swapaxes(0, 1)).max(axis=(0, 1))
-        _refuse(
-            f"{name}.rate",
-            skew > _ROUNDING * size,
-            tested,
-            skew,
-            sizes,
-            "0 for the largest entry of Pi - Pi^T",
-        )
+        expected = "0 for the largest entry of Pi - Pi^T"
+        _refuse(f"{name}.rate", skew > _ROUNDING * size, tested, skew, sizes, expected)
         if not rule.has_trace:
             trace = abs(np.einsum("iip->p", Pi))
             _refuse(f"{name}.rate", trace > _ROUNDING * size, tested, trace, sizes, "0 for the trace of Pi")
@@ -135,14 +121,8 @@ def check_rule(rule: FlowRule, material: Material) -> None:
         force = force - np.eye(3)[:, :, None] * np.einsum("iip->p", force) / 3
         gap = np.sqrt(((force - M.value) ** 2).sum(axis=(0, 1))) / sizes
         tested &= (size > 1e3 * rule.rate_floor) & np.isfinite(gap)
-        _refuse(
-            f"{name}.psi",
-            gap > _INVERSE,
-            tested,
-            gap,
-            sizes,
-            "0 for the relative difference of psi'(rate(M)) and M",
-        )
+        expected = "0 for the relative difference of psi'(rate(M)) and M"
+        _refuse(f"{name}.psi", gap > _INVERSE, tested, gap, sizes, expected)
 
 
 @contextmanager

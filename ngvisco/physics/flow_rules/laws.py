@@ -20,9 +20,9 @@ DrivenBy: TypeAlias = Literal["mandel", "conformation"]
 
 
 class _Driven(GradientRule):
-    """A rule whose rate is a scalar times M or, by ``law``, times 2 zeta, which has a trace."""
+    """A rule whose rate is along M or, by ``law``, along 2 zeta, which has a trace, or another tensor."""
 
-    law: DrivenBy
+    law: CreepLaw
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -46,7 +46,7 @@ class _Driven(GradientRule):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Creep(GradientRule):
+class Creep(_Driven):
     """Maxwellian creep G_m Pi - div(nu |grad Pi|^{q-2} grad Pi) = M (paper: ED-Euler-large3).
 
     ``law`` chooses the driving stress of Pi.  The last two need a conformation tensor B with the conjugate
@@ -85,8 +85,6 @@ class Creep(GradientRule):
             replace(self, G_m=1.0)  # checks the other parameters
         else:
             super().__post_init__()
-        if self.law != "mandel" and self.nu != 0:
-            raise ParameterError("Creep.nu", self.nu, f"0 for law = {self.law!r}, since this law is local")
 
     @property
     def R(self) -> float:
@@ -107,14 +105,6 @@ class Creep(GradientRule):
     def psi(self, Pi: Tensor, z: Values) -> Tensor:
         """The potential G_m |Pi|^2/2, W/m^3."""
         return (0.5 * value_at(self.G_m, z)) * square(Pi)
-
-    @property
-    def reads_conjugate(self) -> bool:  # type: ignore[override]
-        return self.law != "mandel"
-
-    @property
-    def has_trace(self) -> bool:  # type: ignore[override]
-        return self.law == "conformation"
 
     @property
     def flows(self) -> bool:

@@ -262,16 +262,12 @@ def _faults(branch: Branch) -> Iterator[tuple[str, str]]:
         expected = "a material without heat and damage; give these to the network, as in "
         yield "material", Words(expected, call("Thermal", material=...))
     if material.response(3) is not None:
-        yield (
-            "material",
-            "a material whose energy is an expression; put the Yosida approximation around the network",
-        )
+        expected = "a material whose energy is an expression; put the Yosida approximation around the network"
+        yield "material", expected
     if rule is None:
         return
     if not rule.is_local:
         yield "creep.nu", "0, since the creep of a branch has no gradient term"
     if rule.flows and rule.reads_conjugate and material.conformation is None:
-        yield (
-            "creep",
-            "a flow rule that reads no conformation tensor, or a material with one (OldroydB, FENEP)",
-        )
+        expected = "a flow rule that reads no conformation tensor, or a material with one (OldroydB, FENEP)"
+        yield "creep", expected

@@ -140,11 +140,8 @@ class PointTangent(_AtPoints):
     def __init__(self, residual: ReducedResidual, operators: Operators) -> None:
         terms = CellTerms(residual.step, operators, residual.rates)
         super().__init__(residual, terms, residual.couplings.of_state())
-        self.collocated = (
-            None
-            if residual.collocated_terms is None
-            else CollocatedTangent(residual, residual.collocated_terms)
-        )
+        collocated = residual.collocated_terms
+        self.collocated = None if collocated is None else CollocatedTangent(residual, collocated)
         rates, count = residual.rates, operators.points.count
         self._creeps = bool(rates.mechanisms) and rates.is_local and not rates.creep_is_collocated
         self.parts = [(part.cells, terms.part(part.cells)) for part in residual.parts]
