@@ -252,11 +252,8 @@ def cards(every: Sequence[KeyEntry]) -> list[str]:
         groups.setdefault((entry.name, entry.type, entry.unit, entry.default_text), []).append(entry)
     texts = []
     for (name, kind, unit, default), (entry, *similar) in groups.items():
-        rows = [
-            ("type", kind),
-            ("unit", "none (a pure number)" if unit == "1" else unit),
-            ("default", default),
-        ]
+        of_number = "none (a pure number)" if unit == "1" else unit
+        rows = [("type", kind), ("unit", of_number), ("default", default)]
         if similar:
             rows += [("meaning", f"{e.meaning} ({', '.join(e.kinds)})") for e in (entry, *similar)]
         else:

@@ -169,11 +169,8 @@ def _field(words: str, check: Callable[[Any], Any], json: dict[str, Any]) -> Val
 _EXPRESSION = "number or expression"
 _TEXT, _ARRAY = {"type": ["number", "string"]}, {"type": ["number", "string", "array"]}
 SCALAR = _field(_EXPRESSION, _scalar, {"type": ["number", "string", "object"]})
-VECTOR = _field(
-    "array of numbers or expressions",
-    _vector,
-    {"type": ["array", "object"], "items": {"type": ["number", "string", "object"]}},
-)
+_COMPONENTS = {"type": ["array", "object"], "items": {"type": ["number", "string", "object"]}}
+VECTOR = _field("array of numbers or expressions", _vector, _COMPONENTS)
 ROWS = _field("three rows of three numbers or expressions", _rows, {"type": "array"})
 TENSOR = _field(
     "number, expression, or three rows of three numbers or expressions",

@@ -217,11 +217,9 @@ class Impulses:
             if HELD_BY_WALLS in self.names:
                 by_names[HELD_BY_WALLS][-1] += parts.get(_PRESSED, [])
             thrust, pressed = parts[_THRUST], parts.get(_PRESSED, [])
-            defects = (
-                [*thrust, *_negative(parts.get(ENTERING, []))],
-                _negative([*parts.get(ELASTIC, []), *pressed, *thrust]),
-                _negative(parts.get(SKEW, [])),
-            )
+            of_facets = [*thrust, *_negative(parts.get(ENTERING, []))]
+            elastic = _negative([*parts.get(ELASTIC, []), *pressed, *thrust])
+            defects = of_facets, elastic, _negative(parts.get(SKEW, []))
             for where, defect in zip(DEFECTS, defects, strict=True):
                 by_names[where].append(defect)
         return by_names

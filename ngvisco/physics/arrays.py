@@ -169,13 +169,9 @@ class Array(_Node):
         value = product(left, right, out, a.value, b.value)
         if a.is_constant and b.is_constant:
             return Array(value, None)
-        return Array(
-            value,
-            [
-                (a, lambda g: product(out, right, left, g, b.value)),
-                (b, lambda g: product(out, left, right, g, a.value)),
-            ],
-        )
+        of_a = a, lambda g: product(out, right, left, g, b.value)
+        of_b = b, lambda g: product(out, left, right, g, a.value)
+        return Array(value, [of_a, of_b])
 
     def __truediv__(self, other: Any) -> Array:
         other = _divisor(other)
@@ -188,10 +184,8 @@ class Array(_Node):
         if not self.is_scalar or not isinstance(exponent, (int, float)):
             raise TypeError("a power needs a scalar as base and a number as exponent")
         if exponent < 1:  # at zero a power with this exponent has a value, but no derivative
-            return Array(
-                self.value ** float(exponent),
-                [(self, lambda g: exponent * self.value ** float(exponent - 1) * g)],
-            )
+            value = self.value ** float(exponent)
+            return Array(value, [(self, lambda g: exponent * self.value ** float(exponent - 1) * g)])
         lower = self.value ** float(exponent - 1)
         return Array(lower * self.value, [(self, lambda g: exponent * lower * g)])
 
@@ -257,10 +251,8 @@ class Array(_Node):
     def where_positive(self, then: Any, otherwise: Any) -> Array:
         """``then`` where this scalar is > 0, ``otherwise`` elsewhere."""
         a, b, positive = _array(then), _array(otherwise), self.value.real > 0
-        return Array(
-            np.where(positive, a.value, b.value),
-            [(a, lambda g: np.where(positive, g, 0.0)), (b, lambda g: np.where(positive, 0.0, g))],
-        )
+        pulls = [(a, lambda g: np.where(positive, g, 0.0)), (b, lambda g: np.where(positive, 0.0, g))]
+        return Array(np.where(positive, a.value, b.value), pulls)
 
 
 class MappedArray(Array):

@@ -175,10 +175,8 @@ class DistortionTensor(Variable):
 
     def positive(self, value: Tensor) -> Values:
         name, A = self.name, value
-        minors = {
-            f"{name}_11": A[0, 0],
-            f"{name}_11 {name}_22 - {name}_12^2": A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0],
-        }
+        plane = A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0]
+        minors = {f"{name}_11": A[0, 0], f"{name}_11 {name}_22 - {name}_12^2": plane}
         return (minors if self.kind == "symmetric" else {}) | {f"det {name}": Det(A)}
 
     @property

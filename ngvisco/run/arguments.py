@@ -22,10 +22,8 @@ def check_arguments(observers: Any, walls: Any, passive: Any, sources: Any, term
     for term in require_collection("Simulation.terms", terms, "a sequence of Terms"):
         require_methods("terms", term, ("form", "entries"))
         if not point_terms([term]) and (names := [n for n in _OF_POINT_TERMS if hasattr(term, n)]):
-            expected = (
-                "an object of a class that derives from nv.PointTerm, since the term has "
-                f"{' and '.join(names)}"
-            )
+            has = " and ".join(names)
+            expected = f"an object of a class that derives from nv.PointTerm, since the term has {has}"
             raise ParameterError("Simulation.terms", term, expected)
 
 

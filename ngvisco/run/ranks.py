@@ -91,10 +91,8 @@ class Numbering:
         whole = None if self.layout is None else self.layout.space
         numbers = numbers_in(part, step.layout.space, whole)
         evolved = None if self.layout is None else _evolved(self.layout)
-        self._numbers = {
-            "": _Renumbering(numbers, whole, ranks),
-            "stepping": _Renumbering(numbers[_evolved(step.layout)], whole, ranks, evolved),
-        }
+        of_steps = _Renumbering(numbers[_evolved(step.layout)], whole, ranks, evolved)
+        self._numbers = {"": _Renumbering(numbers, whole, ranks), "stepping": of_steps}
         spaces: dict[str, tuple[FESpace, FESpace | None]] = {}
         for name, stress in step.stresses.functions.items():
             size = len(stress.components)

@@ -51,12 +51,9 @@ def record(
     names = tuple(components(simulation.fields))
     pictures = {title: parse(text, names) for title, text in (show or {}).items()}
     figure(1, 1, (1.0, 1.0))  # if matplotlib is missing, the run fails now, not at its end
-    files: list[Observer] = [
-        Progress(end),
-        LedgerCSV(out / "ledger.csv"),
-        VTKSeries(out / "vtk", every=every),
-        Checkpoints(out / "run.h5", every=checkpoints),
-    ]
+    tables = Progress(end), LedgerCSV(out / "ledger.csv")
+    states = VTKSeries(out / "vtk", every=every), Checkpoints(out / "run.h5", every=checkpoints)
+    files: list[Observer] = [*tables, *states]
     if simulation.model.bodies and not any(isinstance(observer, Bodies) for observer in simulation.observers):
         files.insert(-1, Bodies(out / "bodies.csv"))
     before = list(simulation.observers)

@@ -164,10 +164,8 @@ class Signs:
         if least == _BY_UPWINDING:
             share, rounding = _MISSED, _NEGATIVE * rate
         if productions and productions[least] < -share * sum(map(abs, productions.values())) - rounding:
-            causes = {
-                PRODUCTION + "conduction": "the cells are too large for the slopes of the temperature",
-                _BY_UPWINDING: self._of_upwinding(),
-            }
+            coarse = "the cells are too large for the slopes of the temperature"
+            causes = {PRODUCTION + "conduction": coarse, _BY_UPWINDING: self._of_upwinding()}
             message = (
                 f"at t = {row['time']:.4g} s {least} is {productions[least]:.3g} W/K; the cause is that "
                 f"{causes.get(least, 'its law produces energy')}"

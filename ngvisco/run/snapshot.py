@@ -130,14 +130,9 @@ def snapshot(simulation: RunState, solving: Mapping[str, KeptPart]) -> Snapshot:
     balance = simulation.ledger.balance
     assert balance is not None
     numbers = {"time": simulation.t, "step": simulation.number, "velocity_scale": simulation.velocity_scale}
-    parts: dict[str, KeptPart] = {
-        "": (
-            numbers | dataclasses.asdict(balance),
-            {"state": simulation.rothe_step.state.vec.FV().NumPy().copy()},
-        ),
-        **solving,
-        "passive": ({}, simulation.passive.arrays()),
-    }
+    state = {"state": simulation.rothe_step.state.vec.FV().NumPy().copy()}
+    of_run = numbers | dataclasses.asdict(balance), state
+    parts: dict[str, KeptPart] = {"": of_run, **solving, "passive": ({}, simulation.passive.arrays())}
     arrays = {
         f"{part}/{name}": np.asarray(array)
         for part, (_, data) in parts.items()

@@ -135,12 +135,8 @@ class OutlineSlopes:
         of_L, of_B = 8 / L * np.outer(long, long), 8 / B * np.outer(short, short)
         turned = np.array([-long[1], long[0]])
         across = np.outer(turned, long) + np.outer(long, turned)
-        by_second = {
-            "L": of_L,
-            "B": of_B,
-            "D": 2 * (B * of_L - L * of_B) / (L + B) ** 2,
-            "angle": 0.5 * across / (squares[1] - squares[0]),
-        }[column]
+        of_D, of_angle = 2 * (B * of_L - L * of_B) / (L + B) ** 2, 0.5 * across / (squares[1] - squares[0])
+        by_second = {"L": of_L, "B": of_B, "D": of_D, "angle": of_angle}[column]
         return self._of_moments(moments, by_second, np.zeros((2, 2)))
 
     def turning(self) -> Corners:

@@ -98,10 +98,8 @@ class Named:
         try:
             return varied(simulation, {self: value})
         except NgviscoError as error:
-            expected = (
-                f"a value at a distance of at least {2 * self.spacing:.2g} from the ends of its range "
-                f"({error})"
-            )
+            least = f"at least {2 * self.spacing:.2g}"
+            expected = f"a value at a distance of {least} from the ends of its range ({error})"
             raise ParameterError(f"by: {self.name}", self.value, expected) from error
 
 

@@ -319,10 +319,8 @@ class RotheSolver:
         self._factorised_at, self._stresses = interval, self.step.stresses.frozen()
         layout, newton, vectors = self.step.layout, self.newton, self._vectors()
         names = newton.unknowns.names if isinstance(newton, Split) else layout.names
-        self._factorised = {
-            "state": KeptState.of(layout, vectors["state"], names),
-            "state_old": KeptState.of(layout, vectors["state_old"], layout.evolving),
-        }
+        old = KeptState.of(layout, vectors["state_old"], layout.evolving)
+        self._factorised = {"state": KeptState.of(layout, vectors["state"], names), "state_old": old}
         if "lagged" in vectors:
             self._factorised["lagged"] = KeptState(layout, {"z": vectors["lagged"]})
 

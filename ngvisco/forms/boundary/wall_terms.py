@@ -270,20 +270,14 @@ class Carried(OnWall):
 
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         c = u.context
-        return [
-            c.given(self.indicator) * self._stored(u) * (w.v * c.normal),
-            (0.5 * self._carried_momentum(u)) * (w.v * u.v),
-            -inner(self._added(u, "z"), w.z),
-        ]
+        stored = c.given(self.indicator) * self._stored(u) * (w.v * c.normal)
+        return [stored, (0.5 * self._carried_momentum(u)) * (w.v * u.v), -inner(self._added(u, "z"), w.z)]
 
     def impulses(self, u: Fields, w: Fields) -> dict[str, list[Integrand]]:
         # inertia's skew form has the other half of the outgoing momentum
         (stored, kinetic, _), half = self.facets(u, w), 0.5 * self._mass_flux(u) * (w.v * u.v)
-        return {
-            ENTERING: [Integrand(facets=stored)],
-            SKEW: [Integrand(facets=-half)],
-            self.impulse: [Integrand(facets=kinetic), Integrand(facets=half)],
-        }
+        carried = [Integrand(facets=kinetic), Integrand(facets=half)]
+        return {ENTERING: [Integrand(facets=stored)], SKEW: [Integrand(facets=-half)], self.impulse: carried}
 
     def on_body(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         """The term that ``backflow`` adds, -1/2 j v . w where matter flows in."""

@@ -268,10 +268,8 @@ class MovingWalls:
             size = Integrate(velocity * velocity, mesh, BND, definedon=region)
             normal_part = Integrate(normal * normal, mesh, BND, definedon=region)
             if not normal_part <= OPEN * size:
-                sizes = (
-                    f"a velocity with a normal part ({normal_part**0.5:.3g} of {size**0.5:.3g} in the L2 "
-                    "norm)"
-                )
+                parts = f"{normal_part**0.5:.3g} of {size**0.5:.3g}"
+                sizes = f"a velocity with a normal part ({parts} in the L2 norm)"
                 expected = "a tangential velocity, since nothing crosses this wall; for an inlet take "
                 inlet = call("Inflow", velocity=...)
                 raise ParameterError(f"walls[{name!r}].velocity", sizes, expected, inlet)

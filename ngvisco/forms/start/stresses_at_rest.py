@@ -35,15 +35,12 @@ def where_bodies_meet(step: Step) -> Iterator[str]:
     if stresses and max(stresses.values()) - min(stresses.values()) > rounding:
         names = ", ".join(repr(name) for name in stresses)
         values = ", ".join(f"{stress:.4g} Pa" for stress in stresses.values())
-        yield Words(
+        message = (
             f"bodies {names} meet with different stresses at rest (the mean normal stresses T(I) are "
             f"{values}). The bodies move from the first step on until their stresses balance. {_REMEDY}or "
-            "start from states with equal stresses (by ",
-            Mention("Initial.F"),
-            ", or by J in ",
-            Mention("Initial.values"),
-            ")",
+            "start from states with equal stresses (by "
         )
+        yield Words(message, Mention("Initial.F"), ", or by J in ", Mention("Initial.values"), ")")
 
 
 def on_open_walls(step: Step) -> Iterator[str]:

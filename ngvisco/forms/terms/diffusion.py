@@ -72,10 +72,8 @@ class ThroughWall(PointTerm):
         """Power and amount of the matter that diffuses in through the wall."""
         name, inwards = f"{self.variable}_{self.name}", self._inwards(u)
         power = Integrand(facets=inwards * u.zeta_tensors[self.variable])
-        return [
-            Entry(f"power_exchange_{name}", "power", power),
-            Entry(f"exchange_{name}", "monitor", Integrand(facets=inwards)),
-        ]
+        exchanged = Entry(f"exchange_{name}", "monitor", Integrand(facets=inwards))
+        return [Entry(f"power_exchange_{name}", "power", power), exchanged]
 
 
 def diffusion_terms(model: Model, walls: Walls) -> list[Term]:

@@ -83,10 +83,8 @@ class Heating(_OfEntropy):
         dissipated = dissipations(u, self, "facets") if self._to_walls else {}
         for name, share in self._to_walls.items():
             if (friction := dissipated.get(f"dissipation_friction_{name}")) is None:
-                expected = (
-                    "1, the default, on a wall without friction; NavierFriction and ",
-                    call("Traction", friction=...),
-                )
+                advice = "1, the default, on a wall without friction; NavierFriction and "
+                expected = (advice, call("Traction", friction=...))
                 raise ParameterError(
                     f"walls[{name!r}].heat.friction_share", 1 - share, *expected, " have friction"
                 )
@@ -173,9 +171,10 @@ class HeatThroughWall(_OfEntropy):
         heat = self._heat(u)
         indicator, coefficient = (u.context.given(value) for value in (self._indicator, self._given[1]))
         outwards = Integrand(facets=indicator * coefficient * self.theta(u))
+        supply = Entry(f"entropy_supply_{self.name}", "production", Integrand(facets=heat / self.theta(u)))
         return [
             Entry(f"power_heat_{self.name}", "power", Integrand(facets=heat), difference_of=outwards),
-            Entry(f"entropy_supply_{self.name}", "production", Integrand(facets=heat / self.theta(u))),
+            supply,
         ]
 
 

@@ -86,11 +86,8 @@ class FieldDiffusion(PointTerm):
         slopes = self._of_strains(u.grad_zeta)
         if self.of_itself is not None:
             slopes = slopes + self.of_itself * u.grad_z
-        return [
-            self.law.delta_fields * inner(self._of_strains(u.z_slope), w.grad_z),
-            -inner(slopes, w.z_slope),
-            *self._curved(u, w.z_slope),
-        ]
+        spread = self.law.delta_fields * inner(self._of_strains(u.z_slope), w.grad_z)
+        return [spread, -inner(slopes, w.z_slope), *self._curved(u, w.z_slope)]
 
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         across, jump = self._across(u), self._jump(u)

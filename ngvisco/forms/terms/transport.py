@@ -44,11 +44,8 @@ def transport_in_cells(along: Fields, u: Fields, G: Fields, name: Conjugate) -> 
     if not by_flux.any():
         return [-inner(u.grad_z * along.v, G.parts[name]), *rates]
     grad_G = G.grad_z if name == "z" else G.grad_zeta
-    return [
-        -inner(masked(u.grad_z, ~by_flux) * along.v, G.parts[name]),
-        inner(grad_G * along.v, masked(u.z, by_flux)),
-        *rates,
-    ]
+    advected = -inner(masked(u.grad_z, ~by_flux) * along.v, G.parts[name])
+    return [advected, inner(grad_G * along.v, masked(u.z, by_flux)), *rates]
 
 
 def degree_of_transport(k: int, m: int, rates: TabulatedRates) -> int | None:

@@ -148,8 +148,6 @@ def _refuse(
     argument: str = "M",
 ) -> None:
     if (at := np.flatnonzero(wrong & tested)).size:
-        where = (
-            f"{expected}; the value is that at |{argument}| = {sizes[at[0]]:g} "
-            f"{'Pa' if argument == 'M' else '1/s'}"
-        )
+        unit = "Pa" if argument == "M" else "1/s"
+        where = f"{expected}; the value is that at |{argument}| = {sizes[at[0]]:g} {unit}"
         raise ParameterError(field, float(value[at[0]]), where)

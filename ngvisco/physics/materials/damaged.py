@@ -172,11 +172,8 @@ class Damaged(Wrapper):
         if part_of(self.material, Damaged) is not None:
             expected = "a material without damage"
         elif entropy_in(self.material) is not None:
-            expected = Words(
-                "a material without heat; for heat and damage put ",
-                call("Thermal", material=...),
-                " around the damaged material",
-            )
+            advice = "a material without heat; for heat and damage put "
+            expected = Words(advice, call("Thermal", material=...), " around the damaged material")
         elif self.material.response(3) is not None:
             expected = "a material whose energy is an expression, not that of a Yosida approximation"
         elif any(parameter.name == DAMAGE.name for parameter in parameters_in((self.material,))):

@@ -112,8 +112,5 @@ class HardeningElastic(LinearElastic):
     def energy(self, z: Values) -> CoefficientFunction:
         E, half = z["E"], 0.5 * self.s
         bulk = self.K_h / self.s * power_of_square(tr(E) * tr(E), half, self.floor)
-        return (
-            super().energy(z)
-            + bulk
-            + 2 * self.G_h / self.s * power_of_square(square(dev(E)), half, self.floor)
-        )
+        shear = 2 * self.G_h / self.s * power_of_square(square(dev(E)), half, self.floor)
+        return super().energy(z) + bulk + shear

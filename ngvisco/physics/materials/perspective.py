@@ -95,11 +95,9 @@ class PerReferentialVolume(Material):
     @property
     def variables(self) -> tuple[Variable, ...]:
         tensors = (v for v in self.material.variables if isinstance(v, DistortionTensor))
-        return (
-            *(replace(v, name=f"A{v.name}", exponent=v.exponent - 1) for v in tensors),
-            ReciprocalJacobian(),
-            *(v for v in self.material.variables if not v.is_strain),
-        )
+        scaled = (replace(v, name=f"A{v.name}", exponent=v.exponent - 1) for v in tensors)
+        others = (v for v in self.material.variables if not v.is_strain)
+        return (*scaled, ReciprocalJacobian(), *others)
 
     @property
     def referential_density(self) -> Modulus | None:
