@@ -191,7 +191,7 @@ class Case:
                     message = f"{shown(value)}: expected an array of {dim} components, not {len(value)}"
                     raise self.locator.error(place, message)
                 parsed = parse_region if kind is REGION else parse
-                # shapes in place of a region's text are tables of their own
+                # a region may have shapes in place of a text; these tables are visited by themselves
                 texts = [(place, value)] if kind is REGION else list(nodes(value, place))
                 for key, text in texts if dim == 2 and kind is not LAW else ():
                     if isinstance(text, str) and "z" in parsed(text).names:
@@ -273,7 +273,7 @@ def _settle_state(values: dict[str, Any], material: Any) -> None:
 def _tables_of_files(data: Any) -> list[dict[str, Any]]:
     """The tables in a case's data whose files a run directory copies: of shapes and Python materials."""
     tables = (node for _, node in nodes(data) if isinstance(node, dict) and "path" in node)
-    return [table for table in tables if "geometry" not in table]  # a mesh has a file of its own
+    return [table for table in tables if "geometry" not in table]  # the mesh is stored as mesh.vol
 
 
 def _digest_of(file: Path) -> str:

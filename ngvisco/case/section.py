@@ -45,7 +45,7 @@ TAGS = ("geometry", "kind")
 class Section(BaseModel):
     """A table of a case file, which refuses unknown keys and wrong types.
 
-    The context of a validation, if given, first converts the table's data (``ngvisco.case.units``).
+    If the validation has a context, the context first converts the table's data (``ngvisco.case.units``).
     """
 
     # a section that is built when it is declared builds all sections in it once more: 110 MB at import
@@ -174,7 +174,7 @@ def section(
         fields[name] = (annotation, default)
     model = create_model(tag[1] if tag else target.__name__, __base__=base, **fields)
     model.target = staticmethod(target)
-    # only functions that make materials are called: meshes take long, and files are read later
+    # of the functions only those that make materials are called, since meshes take long; files are read later
     returned = hints.get("return")
     is_material = isinstance(returned, type) and issubclass(returned, MaterialObject)
     model.is_made_at_once = is_whole and "path" not in fields and (is_class or is_material)

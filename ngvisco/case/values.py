@@ -141,7 +141,7 @@ def shape_of(value: Any) -> Any:
 
 
 def as_function(value: Any) -> CoefficientFunction:
-    """The coefficient function of a field's value; arrays of rows are 3x3 matrices."""
+    """The coefficient function of a field's value; an array of arrays is a 3x3 matrix."""
     if isinstance(value, dict):
         return table(value["times"], value["values"])
     if not isinstance(value, list):

@@ -206,7 +206,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # more BLAS threads than processors slow down the sparse solver, and change its sums
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     options = parser().parse_args(arguments)
-    # a command of its own has imported NGSolve and this package; a caller's process had other work too
+    # processor time of the imports: a process started for this command has only imported NGSolve and this
+    # package; the process of a Python caller has done other work too
     options.imports = clock.process_time() if arguments is None else 0.0
     streams.make_safe()
     with warnings.catch_warnings():
@@ -284,7 +285,8 @@ _SPELLED = {"source": "from"}
 
 
 def _in_options(error: Any, options: argparse.Namespace) -> object:
-    """An error, or its message with the option that gave the parameter at fault, as the user wrote it."""
+    """The message of an error about a parameter, beginning with the command-line option and the value that
+    the user gave; the error itself if no option gave the parameter."""
     match = re.match(r"(?:fit\.|write_movie\.)?([a-z_]+)\b", error.key)
     name = "" if match is None else _OPTIONS.get(match[1], match[1])
     given = getattr(options, name, None)

@@ -89,7 +89,8 @@ def _starter() -> str | None:
 
 
 def _found() -> tuple[bool, list[str]]:
-    """Whether MPI, and PETSc with MUMPS, are installed; and lines that name versions or missing parts."""
+    """Whether both MPI and PETSc with MUMPS are installed, and lines with the versions or the missing
+    parts."""
     lines, complete = [], True
     try:
         mpi = importlib.import_module("mpi4py.MPI")

@@ -122,7 +122,8 @@ def _simulation(options: argparse.Namespace) -> tuple[Case, Simulation]:
 
 
 def _require_keys(names: list[str], case: Case, simulation: Simulation) -> None:
-    """Raise ParameterError, or UnknownNameError with the case's keys, for a name of no number of the run."""
+    """Raise ParameterError, or UnknownNameError with the case's keys, for a name that is not the name of a
+    number of the run."""
     for name in names:
         try:
             Named.of(name, simulation)
@@ -162,8 +163,9 @@ def _sigma(text: str | None) -> float | dict[str, float] | None:
 
 
 def _best_run(options: argparse.Namespace, case: Case, result: Fit) -> str:
-    """The command that runs the case with the fitted values, each with its unit; a run may have numbers that
-    its case has under no key, as those of the branches of a Prony series."""
+    """The command that runs the case with the fitted values, each with its unit. If the case cannot take a
+    value, the text says why: some numbers of a run, such as those of the branches of a Prony series, have no
+    key in the case."""
     settings = list(options.settings)
     values = [f"{value:.10g}" for value in result.values]
     keys = [key_and_unit_of(name, case.sections)[0] for name in result.by]

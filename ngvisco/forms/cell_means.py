@@ -178,7 +178,8 @@ class Stretches:
         return any(self.sampler.ranks.any(len(self._outside(X)[0]) > 0) for X in self._amounts)
 
     def limit(self) -> np.ndarray:
-        """Make X_i of the present state positive; return the changed cells of this rank."""
+        """Make the contents X_i of the present state positive; return the numbers of the changed cells of
+        this rank."""
         return np.unique(np.concatenate([np.zeros(0, dtype=int), *[self._limited(X) for X in self._amounts]]))
 
     def _outside(self, content: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -1,4 +1,5 @@
-"""The unknowns of a step, tests or known values, with the data of the step at their points."""
+"""The fields of a step: trial functions, test functions or known values of the unknowns, with the step's
+data."""
 
 from __future__ import annotations
 
@@ -14,7 +15,7 @@ from ngvisco.forms.unknown_values import Part, UnknownValues
 
 
 class Fields(UnknownValues):
-    """The unknowns of a step (or tests, or known values) with the step's context."""
+    """Trial functions, test functions or known values of a step's unknowns, with the step's context."""
 
     layout: StepLayout
 

@@ -86,7 +86,7 @@ def given_values(
 
     Raises UnknownNameError for a name that is neither a variable's nor among ``further``.
     """
-    # the slope follows from the damage
+    # the damage gradient is not given: it follows from the damage
     shapes = {
         v.name: tuple(v.from_distortion(Id(3)).dims)
         for v in material.variables
@@ -108,9 +108,9 @@ def temperature_for(
 ) -> CoefficientFunction | None:
     """The temperature, K, that determines the entropy; by default the reference temperature.
 
-    It is None for a material without entropy, and if the values have the entropy.  Raises ParameterError for
-    a temperature in these cases, for an entropy that no temperature determines, and for bodies without a
-    common reference temperature if none is given.
+    The result is None for a material without entropy, and if ``given`` has the entropy itself.  Raises
+    ParameterError for a temperature in these cases, for an entropy that no temperature determines, and for
+    bodies without a common reference temperature if none is given.
     """
     field, entropy = f"{owner}.temperature", entropy_in(material)
     if entropy is None or entropy.name in given:

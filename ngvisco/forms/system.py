@@ -364,7 +364,8 @@ class Step:
     def without_energy(self) -> np.ndarray:
         """Numbers of this rank's cells with a point of the rule without a stored energy.
 
-        The array is empty for an energy that is stored at the points, which sets ``StoredEnergy.failure``.
+        The array is always empty for an energy that has values at the quadrature points only: for such an
+        energy ``StoredEnergy.failure`` tells why a point has none.
         """
         if self.energy.projected is not None:
             return np.zeros(0, dtype=int)

@@ -114,9 +114,9 @@ class PointTerm:
     coupled_only : str or None
         Reason why only the coupled solver takes the term; None if both solvers take it.
     group : str or None
-        Group of the momentum balance in which the term's rows of v count; ``""`` for a term that
-        does no work on rigid motions; None if they are an impulse of its own.  Like ``kernel``, it is None
-        for a derived class with other integrands.
+        Group of the momentum balance in which the term's rows of v count; ``""`` for a term that does no work
+        on rigid motions; None if the rows are a separate impulse, with the name ``impulse``.  Like
+        ``kernel``, it is None for a derived class with other integrands.
     wall : str or None
         Name of the wall on which alone the term acts.
     facet_mean : str or None
@@ -279,7 +279,8 @@ def point_terms(terms: Iterable[object]) -> list[PointTerm]:
 
 
 def impulses_of(term: Term, u: Fields, w: Fields) -> dict[str, list[Integrand]]:
-    """Impulses of a term, see ``PointTerm.impulses``; for other terms under the name of their class."""
+    """``PointTerm.impulses`` of a term; a term that is no ``PointTerm`` has one impulse, with its class's
+    name."""
     return term.impulses(u, w) if isinstance(term, PointTerm) else {type(term).__name__: term.form(u, w)}
 
 

@@ -18,8 +18,8 @@ _IN_CELLS = ("velocity", "cells", "continuous")
 class Unknown:
     """An unknown of a step.
 
-    Raises ParameterError for an unknown that evolves and has values neither in cells nor on known walls, and
-    for a scale that is not a number >= 0.
+    Raises ParameterError for an unknown that evolves although its values are neither in cells nor on walls
+    given by ``on``, and for a scale that is not a number >= 0.
 
     Attributes
     ----------

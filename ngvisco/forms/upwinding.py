@@ -92,8 +92,8 @@ class FacetMean(PointTerm):
     Attributes
     ----------
     is_linear : bool
-        Whether a is linear in these unknowns: If so, Newton's method has a_hat to rounding.  Otherwise a_hat
-        is one number per facet and recomputed after each increment.
+        Whether the function a is linear in the unknowns that it reads. If so, a_hat is exact to rounding
+        after a Newton step. Otherwise a_hat is one number per facet, and is recomputed after each increment.
     """
 
     name: str

@@ -163,7 +163,7 @@ class Communicator:
 
     @property
     def is_first(self) -> bool:
-        """Whether this is the rank that speaks and writes."""
+        """Whether this is the rank that prints messages and writes files."""
         return self.rank == 0
 
     def total(self, value: float) -> float:

@@ -176,12 +176,13 @@ class Halo:
     """The halo cells: cells of other ranks across the facets that a rank shares; none on one process.
 
     Halo cells are numbered after the rank's own cells, in the order of the facets; a cell across two facets
-    is counted twice.  A rank receives values of halo cells, and sends back contributions to their rows.
+    is counted twice.  A rank receives values of halo cells, and sends back contributions to the rows of these
+    cells.
 
     Parameters
     ----------
     facets : Exchange
-        Exchange of one value a facet.
+        Exchange of one value per facet.
     beside : (shared facets,) array of int
         This rank's cell at each of ``facets.places``.
     cells : int

@@ -12,7 +12,8 @@ from ngvisco.physics.variables import Values
 
 @dataclass(frozen=True)
 class BodyDamage:
-    """The law by which a body breaks, with the damage and its gradient that the body carries."""
+    """A body's damage: the law by which the body breaks, and the variables of the damage and of its
+    gradient."""
 
     law: Damaged
     damage: DamageVariable
@@ -27,6 +28,7 @@ class BodyDamage:
         return cls(law, damage, replace(law.slope, name=f"{law.slope.name}_{body.name}"))
 
     def surface_energy(self, z: Values, weight: Any) -> Any:
-        """The energy of the body's cracks, Pa, with the reference volume ``weight`` per actual volume."""
+        """The energy of the body's cracks per actual volume, Pa; ``weight`` is the reference volume per
+        actual volume."""
         own = {"A": weight, DAMAGE.name: z[self.damage.name], self.law.slope.name: z[self.slope.name]}
         return self.law.surface_energy(own)

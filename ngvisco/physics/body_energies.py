@@ -151,7 +151,7 @@ class InEquilibrium:
                 result.hessian[rows] = of_seen.hessian[:, others]
             result.hessian[:, others[:, None], lagged] = 0.0
         amounts, J = list(self.amounts.values()), y[..., 0]
-        of_pressure = -hessian[:, 0, 0, None] / J[:, :1] ** 2 * J  # dU_i' / dn_k is one for all bodies
+        of_pressure = -hessian[:, 0, 0, None] / J[:, :1] ** 2 * J  # dU_i' / dn_k, equal for all bodies i
         for i, name in enumerate(self.amounts):
             if (d := self.damages.get(name)) is None:
                 continue

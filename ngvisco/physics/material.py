@@ -193,8 +193,8 @@ class Material(ABC):
 
     @property
     def referential_density(self) -> Modulus | None:
-        """The density rho_R, kg/m^3, of an energy that reads rho = rho_R/J, which relates the initial J to
-        the initial density; None (default) for other energies."""
+        """The referential density rho_R, kg/m^3, of an energy that reads rho = rho_R/J; None (default) for
+        other energies. rho_R relates the initial J to the initial density."""
         return None
 
     @property

@@ -188,7 +188,7 @@ class Model:
         return self._of(replace(material, are_apart=are_apart))
 
     def _of(self, material: Material) -> Self:
-        """The model of a ``material`` with the same energy, for which no check is repeated."""
+        """This model with another ``material`` of the same energy; the model's checks are not repeated."""
         settled = copy(self)
         object.__setattr__(settled, "material", material)
         return settled

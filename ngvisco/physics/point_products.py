@@ -36,7 +36,8 @@ def product(left: str, right: str, out: str, a: np.ndarray, b: np.ndarray) -> np
 
 
 def applied(matrix: np.ndarray, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """A constant matrix times the entries of ``value``, row by row, as tensors of ``shape``."""
+    """The constant ``matrix`` times the vector of the entries of ``value`` (row by row), as a tensor of
+    ``shape``."""
     return called(_applied, matrix, value, shape)
 
 

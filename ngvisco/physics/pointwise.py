@@ -119,7 +119,8 @@ class ArrayResponse:
             columns = self.both(along.reshape(size, -1))[1].imag.reshape(along.shape).T / TINY
             for m, column in zip(curved, columns.swapaxes(0, 1), strict=True):
                 hessian[some, m] = hessian[some, :, m] = column
-        hessian[~np.isfinite(energy)] = np.nan  # as the expression of a logarithm has beyond its pole
+        # a logarithm's derivative is finite beyond its pole: NaN marks a state without energy
+        hessian[~np.isfinite(energy)] = np.nan
         return Response(energy, np.ascontiguousarray(slope.T), hessian)
 
 

@@ -5,8 +5,8 @@ Rates are affine in z and linear in L and Pi (ngvisco.physics.variables), so tha
     rate(z; X)_n = sum_x X_x (C_xn + sum_m T_xnm z_m)
 
 in components.  The constants are found by evaluating the rates at unit arguments.  L has the dim^2 entries
-L_ij, row by row, and L_33 about an axis.  Pi has the components of trace-free tensors (of symmetric tensors
-for a law of creep with a trace).
+L_ij, row by row, and L_33 about an axis.  Pi is given by its components in a basis of the trace-free tensors,
+or of the symmetric tensors if Pi may have a trace.
 """
 
 from __future__ import annotations
@@ -53,8 +53,9 @@ class RateTensors:
     def of(
         variables: tuple[Variable, ...], dim: int, has_trace: bool = False, hoop: bool = False
     ) -> RateTensors:
-        """The tensors from the rates at z = 0 and at unit vectors; ``has_trace`` says whether Pi may have a
-        trace, ``hoop`` whether L_33 may be nonzero in two dimensions.
+        """The tensors C and T of the rates of ``variables``, from values of the rates at z = 0 and at unit
+        vectors z. ``has_trace`` says whether Pi may have a trace, ``hoop`` whether L_33 may be nonzero in two
+        dimensions.
 
         Raises ParameterError, with the variable's name, for a rate that is not linear in L and Pi, to which
         no stress belongs.

@@ -292,6 +292,6 @@ class Recorded(np.lib.mixins.NDArrayOperatorsMixin):
         return self.program.note(function, arguments)
 
     def _refuse(self, *arguments: Any, **named: Any) -> Any:
-        raise TypeError("a program cannot depend on values, and cannot write into its arrays")
+        raise TypeError("a recorded function cannot depend on values, and cannot write into arrays")
 
     __array__ = __bool__ = __float__ = __int__ = __index__ = __iter__ = __setitem__ = _refuse

@@ -1,8 +1,8 @@
 """Functions of the run's time for loads and walls: steps, pulses, tables.
 
 The means of these functions over a step are exact, because the rule in time (``ngvisco.forms.time_means``)
-knows the functions' breaks.  For any other function the rule looks for sign changes of the arguments of its
-``IfPos``.
+knows the functions' breaks.  In any other function the rule looks for an ``IfPos`` whose argument changes
+sign within the step.
 """
 
 import csv

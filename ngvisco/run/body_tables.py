@@ -105,7 +105,8 @@ class Tractions:
             chi.vec.FV().NumPy()[:] = sums / np.maximum(self._counts, 1)
 
     def _sums(self, at_corners: np.ndarray) -> np.ndarray:
-        """Sums of ``values`` at corners of cells, one sum for each unknown of chi."""
+        """For each unknown of chi, the sum of the values ``at_corners`` over the cells' corners at the
+        unknown's vertex."""
         return self._exchange.sum(np.bincount(self._numbers, at_corners, self._exchange.count))
 
     def forces(self, centres: np.ndarray) -> np.ndarray:

@@ -25,9 +25,10 @@ The ledger and each checkpoint have the attribute ``checksum``, the SHA-256 of a
 which a bit has changed is refused.
 
 The file is made in memory, written under another name and renamed, so that the former file stays readable if
-the run is killed or the disk is full.  A restart factorises the Jacobian at the run's own point and equals
-the uninterrupted run bit for bit (on one machine, with the same number of ranks), whatever the step of the
-interruption; ``ngvisco/parallel/NOTES.md`` says where ranks leave a difference of rounding.
+the run is killed or the disk is full.  A restarted run factorises the Jacobian at the point that the
+checkpoint holds. Therefore its results equal those of an uninterrupted run bit for bit, on one machine and
+with the same number of ranks, after an interruption at any step; ``ngvisco/parallel/NOTES.md`` says where
+runs on ranks differ by rounding.
 """
 
 from __future__ import annotations

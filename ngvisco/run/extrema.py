@@ -69,7 +69,7 @@ def volume(
 
 
 def defects_of(model: Model, u: UnknownValues) -> tuple[CoefficientFunction | None, Values]:
-    """J - det F at ``u``, None if a material lacks one of them, and relative defects by pairs."""
+    """J - det F at ``u`` (None for a material without J or without F), and ``relative_defects``."""
     _, gap = volume(model.material, u)
     return gap, relative_defects(model.material, u.z_tensors, model.traced)
 

@@ -120,7 +120,8 @@ class Lattice:
     cells : array (parts, dim + 1)
         Numbers of the simplices' corners; each cell has points of its own.
     rules : dict of element types to IntegrationRule
-        Rules with these points, of weight 1 in the reference cell, whose "integrals" are sums over points.
+        Integration rules that have these points with the weight 1 on the reference cell: "integrals" by these
+        rules are sums over the points.
     """
 
     def __init__(self, mesh: Mesh, pieces: int) -> None:

@@ -33,12 +33,12 @@ class InflowWarning(NgviscoWarning):
 class Inlets:
     """Warns of inflows through a run's walls; sums the mass that came in through each wall.
 
-    Two measures tell whether given values have another stress than the body.  One is the power that is lost
-    where given values and the body meet; in slow straining this power is small beside other powers.  The
-    other is the difference of the stresses' deviators beside elastic and viscous stresses.  Only the first
-    measure judges pressures: matter that is hardly compressed has its neighbours' density at any pressure.
-    Temperatures mix by their nature and bring no warning.  Bodies whose amounts are given come in
-    unstrained.
+    Two measures tell whether the given values have another stress than the body. One is the power that is
+    lost where given values and the body meet; in slow straining this power is small beside other powers. The
+    other is the difference of the stresses' deviators, relative to elastic and viscous stresses. The
+    difference of pressures enters only by the lost power: matter that is hardly compressed has its
+    neighbours' density at any pressure. Temperatures mix by their nature and bring no warning.  Bodies whose
+    amounts are given come in unstrained.
     """
 
     def __init__(self, step: Step) -> None:

@@ -141,7 +141,7 @@ class Momentum:
 
     @property
     def held(self) -> dict[str, int]:
-        """Columns of the impulse of walls that hold v, with the number of their motion."""
+        """The columns of the impulse of walls that hold v; a column's value is the number of its motion."""
         name = IMPULSE + HELD_BY_WALLS
         return {column: i for i, column in enumerate(self._names(name))} if name in self._given else {}
 
@@ -162,7 +162,7 @@ class Momentum:
         return dict(zip(self._names(TRANSFERRED), map(float, change), strict=True))
 
     def start(self, values: Mapping[str, float]) -> dict[str, float]:
-        """The columns of a run's first row, without exchange."""
+        """The columns of a run's first row, in which all impulses and defects are zero."""
         return dict.fromkeys(self.columns, 0.0) | {name: values[name] for name in self.densities()}
 
     def row(self, values: Mapping[str, float], tau: float, at_end: np.ndarray | None) -> dict[str, float]:

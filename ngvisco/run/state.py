@@ -127,7 +127,7 @@ class RunState:
 
     @property
     def step_under_way(self) -> int:
-        """Number of the next step, or of the present step within which the run is."""
+        """Number of the step that the run is within, or of the next step if a step has just ended."""
         return self.step_number + self.is_due(1)
 
     def is_due(self, every: int) -> bool:

@@ -209,8 +209,8 @@ class Adjoint:
         whole: np.ndarray,
         loads: np.ndarray,
     ) -> None:
-        """Add the slopes by the stages to ``loads``; ``whole`` are the slopes by a combined end, the present
-        state."""
+        """Add a combined end's contributions to ``loads``, the slopes by the stages' solutions. ``whole`` are
+        the slopes by this end, which is the present state."""
         base, starts = self.base, self.starts
         ranges = base.step.layout.ranges
         is_v = np.zeros(len(base.state), dtype=bool)

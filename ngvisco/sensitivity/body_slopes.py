@@ -47,8 +47,9 @@ class BodySlopes:
     """Slopes of the columns of a prepared table of bodies.
 
     The slope of an integral is a variation of a form. A measure of an outline is a function of the fractions
-    and the velocity at points in cells. Weighted sums over the points turn the slope by these values into a
-    slope by the state.  The force of other bodies has slopes by the stress and by the averaged fraction.
+    and the velocity at points in cells. The measure's slopes by these values are the weights of a sum over
+    the points, and the variation of this sum is the slope by the state.  The force of other bodies has slopes
+    by the stress and by the averaged fraction.
     """
 
     def __init__(self, table: Bodies, variations: Variations) -> None:
@@ -58,7 +59,7 @@ class BodySlopes:
         self._theta = material.fractions.at(variations.trial.z_tensors)
 
     def of(self, column: str) -> Slope:
-        """Slope of a column that does not jump."""
+        """Slope of a column that is a differentiable function of the state."""
         if (pair := self._pairs.get(column)) is not None:
             return lambda: self._of_gap(*pair)
         name = max((n for n in self.table.names if column.startswith(f"{n}_")), key=len)
@@ -118,8 +119,9 @@ class BodySlopes:
 
     @cached_property
     def _weights(self) -> tuple[Callable[[np.ndarray], np.ndarray], list[GridFunction], Slope]:
-        """A solver for functions with given values at the points, functions that hold weights, and the slope
-        of the weighted sum."""
+        """A solver for the coefficients of functions with given values at the points; functions for the
+        weights of fractions and velocities at the points; and the slope of the weighted sum of fractions and
+        velocities."""
         mesh, lattice = self.step.mesh, self.table.fractions.lattice
         space = L2(mesh, order=PIECES)
         functions = [GridFunction(space) for _ in range(len(self.table.names) + mesh.dim)]
@@ -196,8 +198,8 @@ class BodySlopes:
         return slope, lambda: float(quadrature.integrate_cells(now))
 
     def _averaged(self, name: str) -> Callable[[np.ndarray], np.ndarray]:
-        """A function that returns the slope of weights times the coefficients of a body's averaged
-        fraction."""
+        """A function that maps weights w to the slope of sum_i w_i chi_i, where chi_i are the coefficients of
+        a body's averaged fraction."""
         if name not in self._averages:
             tractions, step = self.table.tractions, self.step
             assert tractions is not None

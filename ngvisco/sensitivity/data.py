@@ -30,9 +30,9 @@ class Data:
     Attributes
     ----------
     times : array, (rows,)
-        Times in the unit that ``units`` has, or s.
+        Times in the unit that ``units`` has for ``"time"``, or in s.
     columns : mapping of names to arrays, (rows,)
-        Values in the units that ``units`` has, or in SI units; NaN if not measured.
+        Values in the units that ``units`` has for the names, or in SI units; NaN if not measured.
     units : mapping of names to units
     """
 

@@ -57,7 +57,8 @@ class OutlineSlopes:
         return np.rint(self.cut.ends[:, 0, -1]).astype(int)
 
     def _of_region(self, f: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-        """Slopes by theta of the region's integral of a quadratic function f of the columns."""
+        """Slopes by theta of the integral of f over the region; f is a quadratic function of the columns of
+        ``cut``."""
         ends, numbers = self.cut.ends, self._triangles
         sizes = np.linalg.norm(ends[:, 1, _PLACE] - ends[:, 0, _PLACE], axis=1)
         sizes = sizes / np.linalg.norm(self._gradients[numbers], axis=1)

@@ -150,7 +150,8 @@ def _member(owner: Any, key: str) -> Any:
 
 
 def _known(owner: Any) -> list[str]:
-    """Keys by which the parts of an owner are named."""
+    """Keys of the parts of ``owner``: keys of a mapping, names or numbers of members, or fields of a
+    dataclass."""
     if isinstance(owner, Mapping):
         return [str(key) for key in owner]
     if isinstance(owner, Sequence) and not isinstance(owner, str):

@@ -25,8 +25,9 @@ _READ = {"old", "momentum_old"}
 class Starts:
     """Derivatives by one start state y of a stage, and products with R_y^T.
 
-    R depends on sum w_k y_k, and on sum w_k rho_k v_k at the points.  With y_k as trial function and other
-    states fixed, R . lambda is an integral with a slope by y_k.
+    The residual R of the stage depends on the start states y_k through sum w_k y_k, and through sum w_k rho_k
+    v_k at the points.  With y_k as trial function and other states fixed, R . lambda is an integral with a
+    slope by y_k.
     """
 
     def __init__(self, follower: Follower) -> None:
@@ -92,7 +93,8 @@ class Starts:
     def transposed(self, rows: np.ndarray) -> np.ndarray:
         """Products R_y^T of each of ``rows``, (numbers, unknowns), with y as ``put``.
 
-        The stage has to be posed, with its solution as the present state.
+        Before the call the step has to be set up for the stage, with the stage's solution as the present
+        state.
         """
         result = np.zeros_like(rows)
         for product, weights in zip(result, rows, strict=True):

@@ -27,7 +27,8 @@ from ngvisco.sensitivity.trajectory import RecordedStep, Stage, Trajectory
 
 
 class Neighbours:
-    """Followers with a parameter at p + o h, and derivatives by the parameter from their results.
+    """Followers of a run with one parameter p changed to p + o h, and derivatives by p as differences of the
+    followers' results.
 
     ``base`` has the columns, and ``order`` is the order of the differences, 4 or 2.
     """
@@ -177,7 +178,7 @@ class _Tangent:
         return self._columns_at(first.state)
 
     def _columns_at(self, state: np.ndarray) -> np.ndarray:
-        """Derivatives of the columns at a state; the steps' starts must be set."""
+        """Derivatives of the columns at a state; the start of each follower's step has to be set before."""
         if not self.near.followers[0].columns.has_ends:
             return np.zeros(len(self.near.followers[0].columns.names))
         moved = self.near.moved(state, self.along)

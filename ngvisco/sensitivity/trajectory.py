@@ -94,7 +94,7 @@ class Trajectory:
     """Records the steps of a run, as one of the integrator's ``carried`` objects.
 
     With a ``restart`` folder each step is stored there too, and ``run`` begins after the steps that the
-    folder has.  Parts of the derivatives' state are kept there by name.
+    folder has.  The folder also keeps parts of the derivatives' state, by name.
 
     Raises ParameterError for a run without derivatives: with growing damage, pistons on oblique walls,
     relaxed steps, carried outlines, viscosities in series for constants in cells, or several ranks.

@@ -39,7 +39,7 @@ class Variations:
     ----------
     step : Step
     trial : Fields, optional
-        Fields with trial functions, by default those of the present state.
+        Fields whose unknowns are trial functions; by default the fields of the step's present state.
     at : BaseVector, optional
         Coefficients at which the trial functions are evaluated, by default the present state.
     weight : Parameter, optional
@@ -104,7 +104,7 @@ class Variations:
         return {name: self._with_energy(of_trial[name], present.get(name, [])) for name in names}
 
     def _with_energy(self, integrands: Sequence[Integrand], present: Sequence[Integrand]) -> Slope:
-        """Slope of a sum of integrals, with the share of the stored energy.
+        """Slope of a sum of integrals, including the dependence through the stored energy.
 
         The energy of a material without an expression is a projection P phi(z). If P phi(z) has the weight w
         in the integrals at the ``present`` state, phi(z) has the weight P w.

@@ -16,7 +16,7 @@ from ngvisco.shapes.places import Places
 _PIECES = 32
 """Pieces of the edges of a cell with the outline."""
 _LOOKED_AT = 4
-"""Pieces of a cell's edges, at the ends of which levels are tested."""
+"""Number of pieces of a cell's edges; levels are tested at the ends of the pieces."""
 _NEAREST = 6
 """Number of pieces of the outline, the nearest by their middles, whose distance is computed."""
 
@@ -24,7 +24,8 @@ _NEAREST = 6
 def signed_distance(mesh: Mesh, shape: HasLevel, order: int) -> GridFunction:
     """Distance from the outline of a shape, > 0 inside, in discontinuous P_order; mesh of triangles.
 
-    The error at the outline is of the square of a 32nd of a cell, and of the projection at corners.
+    At the outline the error is of second order in h/32, with the size h of a cell; at corners of the outline
+    it is the projection's error.
     """
     cells, ranks = np.arange(mesh.ne), Communicator.of(mesh)
     outline = np.concatenate(ranks.gathered(_outline(mesh, cells, shape)))

@@ -179,7 +179,8 @@ def crossings(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
 def _distances(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Distances of points to a surface along three orthogonal lines, the smallest of the three, m.
 
-    Near a plane face this is at most sqrt(3) times the distance; it is inf if no line meets the surface.
+    Near a plane face the result is at most sqrt(3) times the distance; the result is inf if no line meets the
+    surface.
     """
     result = np.full(len(points), np.inf)
     for ray in _RAYS:

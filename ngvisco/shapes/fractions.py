@@ -25,7 +25,7 @@ from ngvisco.errors import NgviscoError
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.shapes.places import Places
 
-_LOOKED_AT = 4  # pieces of a cell's edges, at the ends of which levels are tested
+_LOOKED_AT = 4  # number of pieces of a cell's edges; levels are tested at the pieces' ends
 MISSED = (
     f"a place within the domain that is at least 1/{_LOOKED_AT} of a cell thick, since no cell has a part "
     "of this place; for a smaller place take a finer mesh (maxh, refine)"
@@ -187,7 +187,7 @@ def subdivision(dim: int, count: int, is_quad: bool = False) -> tuple[np.ndarray
             path = np.array([start] * (dim + 1))
             for i, axis in enumerate(steps):
                 path[i + 1 :, axis] += 1
-            if is_quad or (np.diff(path, axis=1) <= 0).all():  # 1 >= a >= b >= c >= 0
+            if is_quad or (np.diff(path, axis=1) <= 0).all():  # 1 >= a >= b >= c >= 0, the simplex
                 ends.append(path)
     corners, pieces = np.unique(np.array(ends).reshape(-1, dim), axis=0, return_inverse=True)
     if not is_quad:  # maps (a, b, c) to (a - b, b - c, c)
@@ -196,7 +196,8 @@ def subdivision(dim: int, count: int, is_quad: bool = False) -> tuple[np.ndarray
 
 
 def _larger(dim: int, count: int, is_quad: bool) -> np.ndarray:
-    """Sub-cells of twice the size, (pieces, dim + 1), by numbers of the small sub-cells' corners."""
+    """Sub-cells of twice the size, (pieces, dim + 1), with corners numbered as those of the small
+    sub-cells."""
     small, (corners, pieces) = subdivision(dim, count, is_quad)[0], subdivision(dim, count // 2, is_quad)
     numbers = {tuple(corner): i for i, corner in enumerate(small)}  # equal bit for bit: count is even
     return np.array([numbers[tuple(corner)] for corner in corners])[pieces]

@@ -301,9 +301,9 @@ class Newton:
     def _noise(self) -> float:
         """The change of the present increment if every number of the state changes in its last place.
 
-        The noise includes the perturbation of the state itself, which is far smaller.  A wrong derivative, a
-        fold or a kink of the equations does not enlarge the noise, because increments caused by these do not
-        change with the rounding.
+        The noise includes the state's own change in its last places, which is far smaller than the rest.  A
+        wrong derivative, a fold or a kink of the equations does not enlarge the noise, because increments
+        caused by these do not change with the rounding.
         """
         u = self.state
         kept, rows, change = (u.CreateVector() for _ in range(3))

@@ -71,9 +71,9 @@ class StepTaken:
     """The exchange of energy and momentum in a step, besides the state that it left.
 
     ``tau`` is the step's length, s; ``history`` lists the attempts; ``rates`` are dissipations and powers, W,
-    weighted by the scheme; ``numerical`` is R by ledger columns, J, and the energy that the limiter took in
-    ``limited`` cells.  ``impulse`` is the walls' impulse on the rows of v at the step's end over its length,
-    N, or None; ``unsolved`` counts the passive fields without a solution.
+    weighted by the scheme; ``numerical`` has R and the limiter's energy by ledger columns, J; ``limited``
+    counts the limited cells. ``impulse`` is the walls' impulse at the step's end divided by ``tau``, N, a
+    number for each row of v, or None; ``unsolved`` counts the passive fields without a solution.
     """
 
     tau: float
@@ -360,8 +360,8 @@ class Integrator:
                 )
             except ValueError as error:
                 message = (
-                    "a relaxed step of any length has numerical dissipation, for example since a load or a "
-                    "wall's velocity has a kink; take smaller steps, or no relaxation"
+                    "numerical dissipation remains at every length of the relaxed step, for example because "
+                    "a load or a wall's velocity has a kink; take smaller steps, or no relaxation"
                 )
                 raise StepError(message) from error
             if share is not None and abs(omega - share) <= noise / distance:

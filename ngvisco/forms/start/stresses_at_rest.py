@@ -47,8 +47,9 @@ def on_open_walls(step: Step) -> Iterator[str]:
     """Yield a warning of open walls whose stress does not balance the matter's stress at rest.
 
     T is the stress of the start state, T(I) the stress of matter at rest, weighted by the bodies' fractions,
-    and t the wall's stress.  T n - t is compared with T(I), both as roots of mean squares over the wall.  A
-    pressure at rest that meets a given pressure brings no warning, as in a gas that is let in or out.
+    and t the wall's stress.  T n - t is compared with T(I), both as roots of mean squares over the wall.
+    There is no warning for a wall that gives a pressure to matter under pressure at rest, such as a gas that
+    flows in or out.
     """
     walls = [name for name, wall in step.walls.conditions.items() if isinstance(wall, Open)]
     material = step.model.material

@@ -64,7 +64,8 @@ class FieldDiffusion(PointTerm):
 
     @cached_property
     def of_itself(self) -> CoefficientFunction | None:
-        """Projection on linear directions and parameters, whose q is the slope of z; None without them."""
+        """Projection on the directions in which the energy is linear and on the parameters; None without such
+        directions and parameters. For these components q is the slope of z."""
         matrix = self.curvature.of_itself
         return constant(matrix) if matrix.any() else None
 

@@ -11,8 +11,8 @@ other energy the mean of N over the facet is subtracted.  The force is then that
 
 the point at which the tangents of phi on both sides meet.  With zeta = phi'(z) and the Bregman distances D_21
 and D_12 between both sides, both >= 0 for a convex energy, b = (D_21 - D_12)/(D_21 + D_12) lies in [-1, 1].
-Projected conjugates may give a larger b.  Parameters, in which no energy is convex, may also give a larger b,
-because [z] : [zeta] may be zero where N is not.  N itself has no denominator.
+|b| may be larger than 1 if zeta is a projection of phi'(z), and for parameters, in which no energy is convex:
+there [z] : [zeta] may be zero where N is not.  N itself has no denominator.
 
 The energy may have no value at a trace, as ln det B at det B <= 0, although it has one at all points of the
 cells' rule.  A facet without energy keeps its thrust, which appears in the ledger's momentum defect.  Since

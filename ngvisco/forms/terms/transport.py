@@ -94,7 +94,7 @@ class Kinematics(PointTerm):
         if of_transport is None or not rates.mechanisms or rates.creep_is_collocated:
             return of_transport
         is_linear = all(f.rule.is_linear and f.body is None for f in rates.mechanisms)
-        return max(of_transport, 4 * m) if is_linear else None  # z : zeta gives M, and Pi is a multiple of M
+        return max(of_transport, 4 * m) if is_linear else None  # M ~ z : zeta, Pi ~ M
 
     def collocated(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         return self._creep(u, w) if u.context.rates.creep_is_collocated else []

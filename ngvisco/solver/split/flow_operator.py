@@ -30,7 +30,7 @@ from ngvisco.solver.split.transport import TransportSweeps
 
 
 class FlowSchurComplement:
-    """The operator at the evaluation of the last ``update``, as element matrices.
+    """The flow's linear operator, linearised at the evaluation of the last ``update``, as element matrices.
 
     ``to_velocity`` maps v to rows of v, (cells, local dim, dim local), and ``to_fields`` to rows of the
     fields, (cells, q n, dim local); ``from_fields`` maps increments of the fields by the transport alone to
@@ -58,7 +58,8 @@ class FlowSchurComplement:
         self.leading, self.inertial = residual.couplings.of_gradients(), residual.couplings.of_inertia()
         self._assembled = ElementAssembly(op.v.unknowns, op.v.width)
         self.cells, self.local, self.functions = op.v.cells, op.v.local, op.z.local
-        # in a periodic strip of one cell the cell has an unknown twice; zeros fill up its blocks
+        # in a periodic strip of one cell, a cell has the same unknown twice: zeros fill up the blocks of the
+        # cell
         shapes = np.stack([part.blocks.reshape(-1, self.local) for part in (op.v, *op.slopes("v"))], axis=1)
         self._shapes = shapes.astype(precision.SINGLE)  # (points, 1 + d, local)
         self._scatter = op.v.scatter.astype(precision.SINGLE)

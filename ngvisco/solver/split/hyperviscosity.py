@@ -1,4 +1,5 @@
-"""The hyperviscosity's derivative in a direction of (v, a), for the flow's linear system, and its tangent.
+"""The hyperviscosity's derivative in a direction (dv, da), for the flow's linear system, and its tangent; a
+are the facets' normal derivatives of v.
 
 In a cell the law depends on x = (v, a) through B x: the coefficients of Hs, and the jumps at the sides'
 points. One small dense product gives B x for all components of v, (cells, dim, rows).  Arrays have the points

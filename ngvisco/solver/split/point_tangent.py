@@ -38,7 +38,7 @@ class _AtPoints:
     """K, (points, n, n)."""
 
     def __init__(self, residual: ReducedResidual, terms: CellTerms, asked: list[PointTerm]) -> None:
-        """``asked`` are the terms whose stresses or rows of z depend on z."""
+        """``asked``: the terms whose stresses, or whose rows of z, depend on z."""
         self.residual, self.terms, self.op, self._asked = residual, terms, terms.op, asked
         self.components = residual.step.layout.states.size
         self.slope = PointwiseSlope(residual.step, self.op.points)
@@ -55,8 +55,8 @@ class _AtPoints:
 
         Each item has the numbers of some components of z, and the derivatives by these components; all other
         derivatives vanish.  The arguments of ``read`` are fields at repeated points, and the number of
-        repetitions.  A random increment of the components that belong to one branch or body tests whether the
-        arrays depend on such components.
+        repetitions. Many arrays do not depend on components of z that belong to one branch or body; one
+        random increment of all these components tests this.
         """
         is_own, every = self.slope.owner >= 0, np.eye(self.components)
         probe = np.random.default_rng(0).standard_normal((1, self.components, 1)) * is_own[:, None]
@@ -163,7 +163,7 @@ class PointTangent(_AtPoints):
         self.weight: np.ndarray | None = None
         """Derivative by z of the inertia and the weight in the rows of v, (points, d, n)."""
         if self.collocated is not None or "Pi" in residual.unknowns.velocity_block:
-            # steep rules and creep rate fields need the arrays at all points
+            # with steep rules or a creep rate field, the arrays are needed at all points at once
             self.force, self.columns = np.zeros((count, X, n)), np.zeros((count, n, X))
             if self._weighing:
                 self.weight = np.zeros((count, rates.dim, n))
@@ -265,8 +265,8 @@ class PointTangent(_AtPoints):
         return np.flatnonzero(is_relaxed), np.flatnonzero(is_read)
 
     def _creep_at_stress(self, u: Fields) -> Callable[[Fields, int], dict[str, np.ndarray]]:
-        """The function, for ``_slopes``, that returns all Pi at changed fields with the Mandel stresses of
-        ``u``."""
+        """A function for ``_slopes``: it returns the creep rates Pi of all mechanisms at changed fields, with
+        the Mandel stresses kept at those of ``u``."""
         rates = self.residual.rates
         stresses = [rates.mandel(u, mechanism).value for mechanism in rates.mechanisms]
 
@@ -333,8 +333,8 @@ class PointTangent(_AtPoints):
         components.
 
         If the rate of a branch depends on another branch, or the rate of a shared component on a branch,
-        there is one group of all components.  Otherwise a product of matrices does not mix the groups' rows
-        and columns.
+        there is one group of all components.  In all other cases each group has an inverse of its own, since
+        products of the matrices do not mix groups.
         """
         owner, every = self.slope.owner, np.arange(self.components)
         if owner.max(initial=-1) < 1:

@@ -4,9 +4,9 @@ First P^{-1} solves the flow's linear system, in which sweeps of the transport g
 solves the fields' linear equations with the increment of the velocity. The equations for dz are T dz - (K dz,
 .) = rows, with the transport T (``TransportSweeps``) and the derivative K of rates and creep
 (``PointTangent``); the equation for drho has no K. Sweeps, followed by (1 - tau K)^{-1} in every cell, invert
-T - K up to tau^2 (products of T and K) and the sweeps' remainder. Sweeps are accurate if Courant number and
-strain of a step are below a half. If Courant number or strain is above one, even in a single cell, as at a
-wall that starts to move at once, sweeps diverge, and serve only as a preconditioner of GMRES.
+T - K up to tau^2 (products of T and K) and the sweeps' remainder. Sweeps are accurate if the Courant number
+and the strain of a step are below a half. If Courant number or strain is above one, even in a single cell, as
+at a wall that starts to move at once, sweeps diverge, and serve only as a preconditioner of GMRES.
 """
 
 from __future__ import annotations
@@ -110,7 +110,8 @@ class FieldsSystem:
 
 
 class Preconditioner:
-    """Solves the flow's linear system with the fields by sweeps of the transport, then the fields' systems.
+    """Solves the flow's linear system, in which sweeps of the transport give the fields, and then the fields'
+    linear equations.
 
     One vector holds the flow's unknowns: v, wall stress, creep rate and the facets' normal derivatives of v.
     """
@@ -259,8 +260,8 @@ class Preconditioner:
         of_z = np.ascontiguousarray(at.residual[u.slices["z"]].reshape(u.components["z"], -1).T)
         flow, alone = at.residual[: self._size].copy(), None
         if self._relaxes:
-            # a stress that does not satisfy a steep flow rule leaves a residual as large as the slope of the
-            # rule: each cell relaxes its residual before the transport carries it to other cells
+            # a stress that does not satisfy a steep flow rule has a residual as large as the rule's slope:
+            # each cell relaxes its residual before the transport carries the residual to other cells
             alone = operator.points.tau * apply(operator.residual.inverse_mass, of_z.T)
             alone = operator.points.resolved(np.ascontiguousarray(alone.T))
             of_z = of_z - self.fields.rows(alone)

@@ -70,8 +70,8 @@ class SweptMatrix(CellBlocks):
         return self.product(self._by_cells(x)).reshape(x.shape)
 
     def swept(self, r: np.ndarray, sweeps: int) -> np.ndarray:
-        """Solve approximately for rows r by a number of sweeps; r is (cells' unknowns, n) or (cells'
-        unknowns,)."""
+        """Approximate solution for the right-hand side r by a number of sweeps; r is (cells' unknowns, n) or
+        (cells' unknowns,)."""
         x = start = np.matmul(self.cells, self._by_cells(r))
         for _ in range(sweeps - 1):
             x = start + self.carried(x)
