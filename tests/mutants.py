@@ -187,8 +187,8 @@ MUTANTS = [
         ),
         (
             "carried momentum",
-            "            (0.5 * self._carried_momentum(u)) * (w.v * u.v),",
-            "            (-0.5 * self._carried_momentum(u)) * (w.v * u.v),",
+            "(0.5 * self._carried_momentum(u)) * (w.v * u.v)",
+            "(-0.5 * self._carried_momentum(u)) * (w.v * u.v)",
             SIGNS + "test_what_flows_in_brings_its_momentum",
         ),
     ),
@@ -557,8 +557,8 @@ MUTANTS = [
         ),
         (
             "slopes of columns by the start of a stage",
-            "loads[k] += self._seeds_of_start(of_means",
-            "loads[k] += 0 * self._seeds_of_start(of_means",
+            "loads[k] += self._seeds_of_start(weights, of_starts",
+            "loads[k] += 0 * self._seeds_of_start(weights, of_starts",
             "tests/sensitivity/test_models.py::test_columns_that_read_the_start_of_a_step_have_its_slopes",
         ),
     ),
@@ -633,8 +633,8 @@ MUTANTS = [
         ),
         (
             "defect of a flux between two bodies",
-            "behind * (out[i] + out[j]) - out[i]",
-            "behind * (out[i] + out[j]) - 0.9 * out[i]",
+            "strips) * (out[i] + out[j]) - out[i]",
+            "strips) * (out[i] + out[j]) - 0.9 * out[i]",
             SHARP + "test_a_strip_goes_where_it_is_carried",
         ),
         (
@@ -711,8 +711,8 @@ MUTANTS = [
         "sensitivity/adjoint.py",
         (
             "impulse of a moving wall at a combined end",
-            "loads[-1] += rows.of_velocity(weights, impulse)",
-            "loads[-1] -= rows.of_velocity(weights, impulse)",
+            "loads[-1] += rows.of_velocity(weights, self.base",
+            "loads[-1] -= rows.of_velocity(weights, self.base",
             ADJOINT + "test_the_power_of_a_moving_wall_has_a_derivative_by_its_velocity",
         ),
         (
@@ -852,8 +852,8 @@ MUTANTS = [
         "algebra/factorised.py",
         (
             "middle of Chebyshev's interval",
-            "0.5 * largest * (1 + 1 / SMOOTHED)",
-            "0.5 * largest",
+            "(largest_eigenvalue(all_fine)) * (1 + 1 / SMOOTHED)",
+            "(largest_eigenvalue(all_fine))",
             LEVELS + "test_sweeps_leave_what_a_polynomial_of_chebyshev_leaves",
         ),
         (

@@ -45,9 +45,10 @@ def test_readme_says_how_many_are_measured_by_themselves():
         int, re.findall(r"(\d+) (?:with a case|measured with|not)", label_table(all_cases()).title)
     )
     said = " ".join((Path(module.__file__).parent / "README.md").read_text(encoding="utf-8").split())
-    assert f"{own} have a case or a test of their own; {whole} are measured only with the whole" in said
+    assert f"{own} labels have a case or a test of their own" in said
+    assert f"{whole} labels are parts of the discrete scheme" in said
     assert f"all {len(all_cases())} cases" in said
-    assert f"{none} are not" in said and own + whole + none == 215
+    assert f"{none} labels are not measured" in said and own + whole + none == 215
 
 
 def test_a_label_is_measured_or_it_is_said_why_not():
