@@ -121,7 +121,8 @@ class LinearisationStress:
         self._target: np.ndarray | None = None
 
     def refresh(self, sampled: Callable[[], _Sampled] | None = None) -> None:
-        """Compute the stresses of the present state: from the target of ``follow``, or M(z) with new slopes.
+        """Compute the stresses M* of the present state: from the target Y of ``follow``, or else as M(z),
+        with new slopes.
 
         ``sampled`` returns z and zeta at the collocation points.
         """
@@ -315,7 +316,8 @@ class LinearisedRates(KeptRates):
     def _along(
         self, function: _OfRate, mechanism: CreepMechanism, Pi: CoefficientFunction, u: UnknownValues
     ) -> CoefficientFunction:
-        """The function of Pi plus its derivative in the direction of the rate's correction."""
+        """A ``function`` of Pi at the iterate's rate, plus its derivative in the direction of the rate's
+        correction."""
         now = self._now(u)
         if mechanism not in self.stresses.stress or u is now:
             return function(mechanism, Pi, u)

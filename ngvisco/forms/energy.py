@@ -256,7 +256,8 @@ class _Values:
     """z of the step's start at the points, whose lagged variables the slope reads; None without these."""
 
     def is_at(self, states: np.ndarray, seen: np.ndarray | None) -> bool:
-        """Whether the energy and the slope are those of these states."""
+        """Whether the stored energy and slope were computed at ``states``, and with the lagged variables
+        ``seen``."""
         if self.at is None or not np.array_equal(states, self.at):
             return False
         return seen is None or (self.seen is not None and np.array_equal(seen, self.seen))

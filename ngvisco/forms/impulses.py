@@ -201,8 +201,8 @@ class Impulses:
     def integrands(self, u: Fields) -> dict[str, list[list[Integrand]]]:
         """Summands at ``u`` of the forces and defects that a call returns, by names and for each motion.
 
-        The force of walls that hold v is without the rows of R at the motions, ``held_velocities`` times
-        R.
+        The force of walls that hold v omits the rows of R tested by the motions, which are
+        ``held_velocities`` times R.
         """
         by_names: dict[str, list[list[Integrand]]] = {name: [] for name in (*self.names, *DEFECTS)}
         for motion, coefficients in zip(self.motions, self._coefficients, strict=True):

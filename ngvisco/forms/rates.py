@@ -61,7 +61,8 @@ class Rates:
     ) -> Sequence[CoefficientFunction]:
         """Summands of rate(z; grad w, 0) : G, w the velocity of ``along``, G the part ``name`` of ``G``.
 
-        Densities have their production only: their flux contains the rest.
+        Of the rate of a density (``Variable.by_flux``) only the production counts here, because the density's
+        flux contains the part -(tr L) z.
         """
         zero, tensors, values = 0 * along.L, _tensors(G, name), self.parted(z)
         parts = []

@@ -1,10 +1,10 @@
 """Conservative sharpening of interfaces between bodies at the end of a step, which keeps their width.
 
 Transport smears a jump of the amounts n_i over more and more cells. After each step
-(``Discretisation.sharp``) two moves separate bodies i and j in cells that contain no other body. Cells with
-more bodies have no planes, and neither have cells that the step passes, which are lower than the strips swept
-through them. In cells with more bodies negative means are filled up too, and one factor for all slopes brings
-fractions into [0, 1].
+(``Discretisation.sharp``) two moves separate bodies i and j in cells that contain no other body. There are no
+planes in cells with more bodies, nor in cells that an interface passes in one step, which are lower than the
+strips swept through them. In cells with more bodies negative means are filled up too, and one factor for all
+slopes brings fractions into [0, 1].
 
 1. *Between cells.*  The step has carried the amounts F_i, F_j out of a cell through a facet.  At the start
    of the step a plane bounds body i in this cell; the share s of the strip that was swept through the facet

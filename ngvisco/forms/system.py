@@ -295,7 +295,7 @@ class Step:
 
     @cached_property
     def whole_residual(self) -> BilinearForm:
-        """The residual once more, with a matrix that the solver does not change."""
+        """A second form of the residual: the solver does not change the matrix of this form."""
         return self._residual()
 
     def residual_at(self, coefficients: np.ndarray, condense: bool = True) -> BilinearForm:

@@ -124,8 +124,8 @@ class PointTerm:
     mean_of : str or None
         Name of the unknown in cells of which ``facet_mean`` is the mean; None for other functions.
     stays : bool
-        Whether this mean is the largest value of all iterates in the solution of a step (``Largest``); its
-        derivative has to be zero.
+        Whether the facet mean is kept at its largest value among the iterates of a step (``Largest``); such a
+        mean must have the derivative zero.
     is_mass : bool
         Whether the term's tangent is the mass matrix of v, integrated by the whole rule: fewer points make it
         singular.

@@ -122,7 +122,8 @@ class _RuleSearch:
                 ends.append(s)
         ends.append(1.0)
         pieces = list(pairwise(ends))
-        # finds the scale first, because a small piece beside a large one need not be resolved
+        # these integrals find the largest value first, because a piece with small values need not be resolved
+        # beside one with large values
         looks = [[self._integral(*ends) for ends in _equal(a, b)] for a, b in pieces]
         panels = [self._resolved(a, b, look) for (a, b), look in zip(pieces, looks, strict=True)]
         times, weights = np.concatenate([nodes for nodes, _ in panels], axis=1)

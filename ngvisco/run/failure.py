@@ -1,5 +1,5 @@
-"""Report on a step that could not be taken: failure, advised change and time reached, then a rule and the
-details.
+"""Report on a step that could not be taken: the failure, the advised change and the time reached; details
+follow below a line.
 
 ``Simulation.advance`` attaches a ``FailureReport`` to the StepError that it raises.
 """
@@ -55,8 +55,8 @@ class FailureReport:
     number : int
         Number of the step that failed, from 1.
     violation, state : Violation and array, or None
-        The bound that the refused solution violates, and its coefficients, over ranks this rank's, for
-        ``showing``; None if no solution was found.
+        The bound that the refused solution violates, and the coefficients of this solution (on several ranks
+        those of this rank), which ``showing`` shows; None if no solution was found.
     courant : float
         Largest tau |v|/h at the state before the step, 0 at rest, in cell ``fastest`` (its number in the
         whole mesh, or None if not known) at ``place`` (m), near ``wall``.

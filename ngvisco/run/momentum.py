@@ -123,7 +123,8 @@ class Momentum:
         return self._named({name: values.tolist() for name, values in self.impulses().items()})
 
     def force_densities(self, u: Fields) -> dict[str, list[Integrand]]:
-        """Integrands of ``forces`` at ``u``, by columns; walls' impulses are without the residual's rows."""
+        """Integrands of ``forces`` at ``u``, by columns; the rows of the residual, a part of the walls'
+        impulses, are left out."""
         return self._named(self.impulses.integrands(u))
 
     def _named(self, of_causes: Mapping[str, Sequence[OfMotion]]) -> dict[str, OfMotion]:
@@ -188,8 +189,9 @@ class Momentum:
         # walls to a body that is clamped under stress, although the sum of the reactions vanishes
         rounding = _ROUNDING * ((totals.exchanged / self._reach).max(initial=0.0) + totals.stressed)
         moving = totals.moving + values["mass"] * self._velocity() + rounding
-        # a defect above all momentum of matter that fills the domain does not move the matter: walls bear the
-        # defect, as they bear the stress; a body within other matter may move nevertheless, against viscosity
+        # if the matter fills the domain, a defect larger than the whole momentum of the matter does not move
+        # the matter: the walls bear the defect, as they bear the stress. A body within other matter may move
+        # nevertheless, against viscosity
         is_borne = self._is_alone & (abs(totals.defect) > self._reach * moving)
         borne = np.where(is_borne, self._reach * totals.stressed, 0.0)
         scale = self._reach * moving + totals.exchanged + borne

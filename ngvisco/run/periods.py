@@ -61,7 +61,8 @@ class Periods:
     def offsets(
         self, points: np.ndarray, cells: np.ndarray, is_inside: np.ndarray, pairs: list[np.ndarray]
     ) -> np.ndarray:
-        """Displacements of cells that make a region one across periodic boundaries, (cells, dim).
+        """Displacements of cells, (cells, dim), that put the parts of a region together across periodic
+        boundaries.
 
         The corners of ``cells``, (cells, corners), are numbers of ``points``, (points, dim), of which
         ``is_inside`` says whether they are in the region, and ``pairs`` is of these points.  The largest part
@@ -123,14 +124,15 @@ def _components(count: int, ends: np.ndarray) -> np.ndarray:
 
 
 def _connected(cells: np.ndarray, is_inside: np.ndarray) -> np.ndarray:
-    """The part of each point: points inside are connected by the cells that they share."""
+    """Number of the part to which each point belongs; points inside the region that share a cell belong to
+    one part."""
     ends = np.stack([cells, np.roll(cells, 1, axis=1)], axis=2).reshape(-1, 2)
     return _components(len(is_inside), ends[is_inside[ends].all(axis=1)])
 
 
 def _followed(first: int, joints: list[tuple[int, int, np.ndarray]], count: int) -> dict[int, np.ndarray]:
-    """Numbers of ``count`` periods by which the parts that joints connect with a first part are displaced;
-    the first part stays in its place."""
+    """For each part that ``joints`` connect with the part ``first``, the numbers of the ``count`` periods by
+    which the part is displaced; the part ``first`` stays in its place."""
     found, reached = {first: np.zeros(count, dtype=int)}, [first]
     while reached:
         part = reached.pop()

@@ -61,7 +61,7 @@ class Observer(Protocol):
 
 
 class Simulation(RunState):
-    """A model on a mesh, in time.
+    """The run of a model on a mesh: its state, and the steps that advance the state in time.
 
     Raises ParameterError, MeshError, InitialDataError or UnknownNameError for bad input, before anything is
     computed; PETScError over ranks without PETSc.

@@ -154,8 +154,9 @@ def take_up(
     """Load a checkpoint's state and passive fields; return the checkpoint, the ledger's rows, and the rows'
     limits.
 
-    Collective.  ``may_differ`` names parts of a run's identity that may differ; with such parts the rows have
-    the file's columns, otherwise the run's.  Raises CheckpointError as ``Simulation.restore``.
+    Collective.  ``may_differ`` names parts of a run's identity that may differ between the run and the file.
+    If there are such parts, the returned rows have the file's columns, otherwise the run's.  Raises
+    CheckpointError as ``Simulation.restore``.
     """
     path = require_path("restore.path", path)
     ledger, ranks, numbering = simulation.ledger, simulation.ranks, simulation.numbering

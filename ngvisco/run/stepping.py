@@ -231,7 +231,7 @@ class FixedStepper:
         self.begin(0.0, 0)
 
     def require(self, step: Step) -> None:
-        return  # steps of one length need no estimate of a step
+        return  # steps of one length need no estimate of their error
 
     def begin(self, time: float, number: int) -> None:
         """Count steps from the state ``number`` at ``time``, for instance after steps with another dt."""

@@ -40,7 +40,8 @@ class Adjoint:
     slopes : Slopes
         Slopes of the follower's columns.
     neighbours : sequence of Neighbours
-        Neighbours for each parameter; parameters of start values change the start alone.
+        For each parameter its neighbours, runs with other values of the parameter. A parameter of start
+        values changes the start alone.
     ends, means : arrays, (numbers, steps + 1, columns)
         Derivatives of the numbers by the columns at the start and the ends of steps, and by the columns'
         means over the stages of the step before.
@@ -95,7 +96,8 @@ class Adjoint:
     def _seeds_of_start(
         self, weights: np.ndarray, of_starts: np.ndarray, states: list[np.ndarray], number: int
     ) -> np.ndarray:
-        """Slopes, (numbers, unknowns), of the present state's columns in the numbers by a start state."""
+        """Slopes of the numbers by one state from which the step starts, (numbers, unknowns), through the
+        columns at the present state that read the step's start."""
         result = np.zeros((len(weights), len(self.base.state)))
         for name in self.slopes.reading_start:
             if (of_column := weights[:, self.base.columns.names.index(name)]).any():

@@ -161,7 +161,8 @@ class Columns:
         return share * values
 
     def impulse(self, rows: np.ndarray, v: np.ndarray | None) -> np.ndarray:
-        """Contributions to the columns by the walls' impulse over a step's length, ``rows`` of v, N.
+        """Contributions of the walls' impulse to the columns; ``rows`` is the impulse in the rows of v over
+        the step's length, N.
 
         With ``v``, the velocity of the last stage, the contributions include the impulse's power.
         """

@@ -44,7 +44,7 @@ class DistanceSlopes:
         return {name: variations.of_sum(integrands) for name, integrands in parts.items()}
 
     def __call__(self, name: str, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Slopes of a column by a and by b, (unknowns,) each; the present state is lost."""
+        """Slopes of a column by a and by b, (unknowns,) each; the call overwrites the present state."""
         for state, values, u in zip(self._states, (a, b), self._fields, strict=True):
             state.vec.FV().NumPy()[:] = values
             self.step.energy.refresh(u)
@@ -57,8 +57,8 @@ class DistanceSlopes:
 
 
 class _Differentiable:
-    """The energy of a step with trial functions as arguments: its values have their derivative at the
-    present state."""
+    """The energy of a step for states that contain trial functions: the values are those of the known state,
+    with the energy's derivative by the trial functions."""
 
     def __init__(self, energy: StoredEnergy, followed: list[Fields]) -> None:
         self._energy, self._followed, self.known = energy, followed, dict[Fields, Fields]()

@@ -399,7 +399,7 @@ class _Search:
 
 
 def _name(run: int) -> str:
-    """The part of the restart folder with a run."""
+    """Name of the part of the restart folder that has a run."""
     return f"run-{run:04d}"
 
 

@@ -122,8 +122,8 @@ class Follower:
         return self.state.copy(), self._momentum_rows()
 
     def _sharpened(self, recorded: RecordedStep, states: Sequence[Mapping[str, np.ndarray]]) -> np.ndarray:
-        """Change by the sharpening of a step with ``states`` y_0, y_1, ..., less that of the recorded step,
-        (unknowns,)."""
+        """Change of the state by the sharpening in a step with ``states`` y_0, y_1, ..., less the change in
+        the recorded step, (unknowns,)."""
         sharpening, ranges = self.simulation.bounds.sharpening, self.step.layout.ranges
         difference = np.zeros_like(self.state)
         if sharpening is None:

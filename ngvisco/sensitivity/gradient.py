@@ -137,10 +137,11 @@ def gradient(
 
     The derivatives are exact for the numbers that this run computes with its mesh and its steps; they are not
     discretised derivatives of the continuous equations.  The lengths of adaptive steps, the limiter's change
-    of a state and the sides of upwinding are constants in the derivatives.  The limiter made errors of 0.1 %
-    in runs with three limited cells; sides make none, except where matter rests at a facet with a jump: there
-    the derivative is between the derivatives to both sides.  The tangent differentiates what
-    ``Discretisation.sharp`` moves, too; the adjoint is refused for such a run.
+    of a state and the sides of upwinding are constants in the derivatives.  For the limiter, this made errors
+    of 0.1 % in runs with three limited cells. For the sides of upwinding, it makes no error, except where
+    matter rests at a facet with a jump: there the result is between the two one-sided derivatives. The
+    tangent also differentiates the separation of bodies by ``Discretisation.sharp``; the adjoint is refused
+    for a run with it.
 
     Raises ParameterError or UnknownNameError for an unknown number or parameter, and for damage, relaxed
     steps and several ranks, which have no derivatives here; StepError as ``Simulation.run``; StopRequested
@@ -155,11 +156,11 @@ def gradient(
         End of the run, s.
     of : sequence of str, or mapping of names to texts or to Misfit
         ``"COLUMN at TIME"``, or ``"COLUMN until TIME"`` for the integral over time, of a column of the ledger
-        or of a table among the run's observers (``Probes``, ``Integrals``, ``WallForces``, ``Bodies``).
-        The integral of an exchange in a step, as ``bregman`` or ``impulse_gravity_1``, is the sum over the
-        steps.  An extremum, as ``rho_min``, is differentiated at its point.  Counts, residuals and lengths of
-        steps have no derivative, a body's extents and the width of its interface jump, and are refused; a
-        perimeter, an angle or a gap has kinks, e.g. where the length of a body is its breadth.
+        or of a table among the run's observers (``Probes``, ``Integrals``, ``WallForces``, ``Bodies``). The
+        integral of an exchange in a step, as ``bregman`` or ``impulse_gravity_1``, is the sum over the
+        steps.  An extremum, as ``rho_min``, is differentiated at its point.  Columns without a derivative are
+        refused: counts, residuals, lengths of steps, and a body's extents and width of the interface, which
+        jump. A perimeter, an angle or a gap has kinks, e.g. where the length of a body is its breadth.
     by : sequence of str
         Paths of parameters, as ``"material.G_e"``, ``"creep.G_m"``, ``"loads.gravity.g.1"``,
         ``"initial.density"``; the adjoint also accepts none, for ``Gradient.density`` alone.

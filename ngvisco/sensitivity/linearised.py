@@ -13,7 +13,8 @@ _INVERSE = "umfpack"
 
 
 class Linearised:
-    """Solves systems with R_u of a stage, its transpose, and the symmetric mass matrix of an end.
+    """Solves systems with the derivative R_u of a stage's equations, with its transpose, and with the
+    symmetric mass matrix of a combined end.
 
     The coupled solver's equations are used also for runs of the split solver, because the solutions satisfy
     equal equations R(u) = 0.
@@ -56,7 +57,8 @@ class Linearised:
         self._velocity[layout.ranges["v"]] = self.free[layout.ranges["v"]]
 
     def end(self, rows: np.ndarray) -> np.ndarray:
-        """Change of v, zero in other unknowns, from ``rows`` of the momentum; the matrix is symmetric."""
+        """Solve with the mass matrix for ``rows`` of the momentum: the change of v, with zeros for all other
+        unknowns."""
         self._rows.FV().NumPy()[:] = rows
         self._solution.data = self._mass * self._rows
         return np.where(self._velocity, self._solution.FV().NumPy(), 0.0)

@@ -185,7 +185,8 @@ class Slopes:
     ) -> np.ndarray:
         """Slope of a function of the coefficients of a cell, by differences.
 
-        ``is_linear`` is the answer of ``_is_linear``: two values by each evolving coefficient suffice."""
+        If the function ``is_linear`` (see ``_is_linear``), two values for each evolving coefficient
+        suffice."""
         order, spacing = (2, 1.0) if is_linear else (4, _SPACING)
         ranges, evolving = self.step.layout.ranges, self.step.layout.evolving
         dofs = np.array(self.step.layout.space.GetDofNrs(ElementId(VOL, cell)))

@@ -103,7 +103,8 @@ class Starts:
         return np.where(self.evolving, result, 0.0)
 
     def _products(self, form: BilinearForm, rows: np.ndarray) -> np.ndarray:
-        """Products of the transposed linearisation with ``rows``, by the unknowns that a step reads."""
+        """Products of the form's transposed matrix with each of ``rows``; zero for unknowns of the start that
+        a step does not read."""
         result = np.zeros_like(rows)
         for product, weights in zip(result, rows, strict=True):
             self._at.FV().NumPy()[:] = weights

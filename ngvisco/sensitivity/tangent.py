@@ -45,7 +45,7 @@ class Neighbours:
         return differenced(values, self.parameter.spacing)
 
     def freeze(self, base: Follower, state: np.ndarray, stage: Stage | None = None) -> None:
-        """Read extrema at the points where the extrema of the run are in a state."""
+        """Let the followers read extrema at the points where the run's extrema are in the given state."""
         if base.columns.extrema.names:
             base.at(state, stage)
             for follower in self.followers:

@@ -138,7 +138,8 @@ class Trajectory:
         self._begin()
 
     def _lacks_derivatives(self) -> bool:
-        """Whether the energy has values at points only while the equations need more than its slope."""
+        """Whether the energy has values at points only, and a law or the diffusion of fields reads more of it
+        than its slope."""
         model, step = self.simulation.model, self.simulation.rothe_step
         law = model.regularisation
         if step.energy.projected is None:
@@ -182,7 +183,8 @@ class Trajectory:
             raise StopRequested(f"the derivatives of the run were stopped, as requested{after}")
 
     def keep(self, name: str, number: int, arrays: Mapping[str, np.ndarray]) -> None:
-        """Keep arrays of the derivatives with a number of steps in the restart folder, if there is one."""
+        """Store arrays of the derivatives, and the number of steps that they belong to, in the restart
+        folder, if there is one."""
         if self.restart is not None:
             self.restart.keep(name, {"number": number}, arrays)
 

@@ -14,10 +14,10 @@ from ngvisco.sensitivity.follower import Follower
 class WallRows:
     """Weights c with which columns contain rows of the residual, c . R(u; .), and the products R_u^T c.
 
-    Arrays are (numbers, unknowns), for weights of the columns in numbers, (numbers, columns).  A force has
-    constant c; the power of a moving wall has c = v on the wall.  At a stage the densities of impulses
-    contain the walls' multipliers. The equation of a combined end has no multipliers, so that all of its rows
-    are the walls' impulse.
+    The weights of the rows are (numbers, unknowns); they follow from the weights of the columns in the
+    numbers, (numbers, columns).  A force has constant c; the power of a moving wall has c = v on the wall.
+    At a stage the densities of impulses contain the walls' multipliers. The equation of a combined end has no
+    multipliers, so that all of its rows are the walls' impulse.
     """
 
     def __init__(self, follower: Follower) -> None:

@@ -172,7 +172,8 @@ class VelocityOfMomentum:
         self._walls = None if term is None else WallProjection(layout, term, quadrature, self.free)
 
     def works(self, rows: np.ndarray, v: np.ndarray) -> dict[str, float]:
-        """Work of the impulses of pistons with multipliers on v, J, by walls; ``__call__`` gives ``rows``."""
+        """Work, J, of the impulses of pistons with multipliers on the velocity v, by walls; ``rows`` is the
+        result of ``__call__``."""
         if self._walls is None:
             return {}
         ranks = self._exchange.communicator

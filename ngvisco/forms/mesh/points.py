@@ -142,8 +142,8 @@ class SidePoints:
         return result
 
     def _constant(self, values: np.ndarray) -> np.ndarray:
-        """``values``, (..., points of a side), or only the first point's if sides are straight, where they
-        have to be constant on each side."""
+        """``values``, (..., points of a side); if sides are straight, only the first point's values, because
+        these values are constant on a straight side."""
         return values[..., :1].copy() if self._is_straight else values
 
     def sample(self, value: CoefficientFunction) -> np.ndarray:

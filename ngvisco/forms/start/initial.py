@@ -296,7 +296,7 @@ def _of_bodies(
 def _check_moduli(step: Step, told: StartValues, parameters: Given, sampler: Sampler) -> None:
     """Raise InitialDataError if a modulus of a law has the wrong sign somewhere at the start.
 
-    ``told`` are the parameters' values, ``parameters`` the numbers carried in their place.
+    ``told`` has the parameters' start values, and ``parameters`` the numbers that the state carries for them.
     """
     model = step.model
     laws: list[tuple[str, object]] = [

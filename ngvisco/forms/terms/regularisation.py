@@ -102,7 +102,8 @@ class FieldDiffusion(PointTerm):
         return [delta * inner(self._of_strains(across), G), -delta * self._weight(u) * inner(C * jump, G)]
 
     def of_one_component(self, u: Fields, w: Fields) -> list[Integrand]:
-        """Part of the form with constant matrices, equal for all components, without delta and C.
+        """The part of the form with constant matrices, which are equal for all components; the factors delta
+        and C are left out.
 
         The rows of zeta are the penalty's rows in the equations of z; the slope's row omits phi''.
         """
