@@ -149,7 +149,8 @@ class Locator:
         return key, error
 
     def _shown(self, key: tuple[str, ...], value: object) -> object:
-        """The written value of a key; ``value`` if the key is missing, has tables, or has it as a member."""
+        """The value of a key as the user wrote it; ``value`` itself if the key is missing, contains tables,
+        or has ``value`` as a member."""
         there = given(self.sections, key)
         members = there if isinstance(there, list) else []
         is_member = isinstance(value, str) and value in members

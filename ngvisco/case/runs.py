@@ -210,7 +210,8 @@ def _go(
 
 @contextlib.contextmanager
 def _naming_source() -> Iterator[None]:
-    """Give an error of the directory from which a run starts the key ``source``."""
+    """Context in which errors get the key ``source``, since the directory that a run starts from causes
+    them."""
     try:
         yield
     except NgviscoError as error:

@@ -197,5 +197,5 @@ PLAIN = ValueKind("", lambda value: value, {})
 
 
 class Wrong(str):
-    """The message about a value with a wrong unit. The message replaces the value in the data, and every key
-    refuses this message."""
+    """The message about a value with a wrong unit. The message stands in the data in place of the value, and
+    no key accepts such a message as its value."""

@@ -137,8 +137,8 @@ class InEquilibrium:
         y: np.ndarray,
         hessian: np.ndarray,
     ) -> None:
-        """Give the shears' response the slopes by all variables that do not lag of the states ``seen``, and
-        add the volumes' slopes by damages.
+        """In the shears' response, replace the slopes by variables that do not lag by the slopes at the
+        states ``seen``, and add the volumes' slopes by damages.
 
         ``changed`` are the points at which both states differ, y the volumes of the states ``seen``, and
         ``hessian`` the second derivative of V there.

@@ -80,7 +80,7 @@ class Restart:
         return restart
 
     def path(self, name: str) -> Path:
-        """The file of a part."""
+        """Path of a part's file."""
         return self.folder / f"{name}.h5"
 
     def keep(
@@ -101,11 +101,12 @@ class Restart:
         write_atomically(self.path(name), image.getvalue())
 
     def read(self, name: str) -> Kept | None:
-        """A part; None if the part does not exist.  Raises CheckpointError for a damaged file."""
+        """The numbers and arrays of a part; None if the part does not exist.  Raises CheckpointError for a
+        damaged file."""
         return self.require(name) if self.path(name).exists() else None
 
     def require(self, name: str) -> Kept:
-        """A part; raises CheckpointError if it is missing or damaged."""
+        """The numbers and arrays of a part; raises CheckpointError if the part is missing or damaged."""
         with opened(self.path(name)) as file:
             texts = {k: v for k, v in file.attrs.items() if isinstance(v, str)}
             numbers = {k: float(v) for k, v in file.attrs.items() if k not in texts}

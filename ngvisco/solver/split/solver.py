@@ -372,7 +372,7 @@ def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> S
     while len(history) < split.options.max_iterations:
         if len(history) > options.slow and last <= options.krylov_below:
             return newton_krylov(split, problem, x, history)
-        # assumes the last contraction, which is unknown after an iterate was given up
+        # the estimate takes the last contraction, which is unknown after an iterate was given up
         expected = last * history[-1].contraction if last < np.inf else np.inf
         f, size = split.increment(problem, x, split.evaluated(x, last), last, expected)
         history.append(NewtonIteration(size, size / last if last < np.inf else 1.0, 1.0, split.is_fresh))

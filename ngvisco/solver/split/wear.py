@@ -5,9 +5,9 @@ when the sum of the further directions exceeds the cost of a renewal, so that a 
 least possible cost.  A limit for the directions of one increment would renew in vain if a new tangent needs
 as many directions.
 
-An old tangent also contracts less than a new one, so that the iteration takes more increments.  These are
-known in advance: the tangent is renewed as soon as the further increments until the end cost more than a
-renewal.
+An old tangent also contracts less than a new one, so that the iteration takes more increments.  The number of
+further increments can be estimated in advance: the tangent is renewed as soon as the further increments until
+the end cost more than a renewal.
 """
 
 from __future__ import annotations
