@@ -41,7 +41,7 @@ def parted(material: Material, pair: str, rms: float, largest: float, where: str
 def relative_defects(material: Material, z: Values, traced: Collection[str] = ()) -> dict[str, Tensor]:
     """Relative defects of the variables' relations, by the names of the two sides; empty without relations.
 
-    * ``"det F and J"``: det z J^-n - 1 for every tensor z, n from its exponent; ``"det B and 1"`` for n = 0,
+    * ``"det F and J"``: det z |J|^-n - 1 for each tensor z, n from its exponent; ``"det B and 1"`` for n = 0,
     * ``"H and Cof F"``: |H - Cof F|/|Cof F| with the factors of J, likewise for N and B,
     * ``"A and J"``: A J - 1, and ``"K and A"``: K/A + ln A.
 
@@ -60,6 +60,7 @@ def relative_defects(material: Material, z: Values, traced: Collection[str] = ()
             defects[f"det {variable.name} and 1"] = det - 1
         elif volume is not None:
             J = z[volume.name] if isinstance(volume, Jacobian) else 1 / z[volume.name]
+            J = sqrt(J * J) if volume.name in material.continued else J  # a continued J may be negative
             name = f"det {variable.name}" if variable.creeps else variable.name
             defects[f"{name} and {volume.name}"] = det * J ** float(-n) - 1
     for name, variable in variables.items():

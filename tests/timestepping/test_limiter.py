@@ -126,7 +126,7 @@ CONTINUED = {
 }
 
 
-@pytest.mark.parametrize("name", ["J_min", pytest.param("Yosida approximation", marks=pytest.mark.long)])
+@pytest.mark.parametrize("name", ["J_min", by_ci("Yosida approximation")])
 def test_a_continued_energy_lets_a_run_pass_J_of_zero(name):
     """The paper's discrete scheme, too, admits any (F, J)."""
     run = cavity(CONTINUED[name])
