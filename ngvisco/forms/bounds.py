@@ -11,8 +11,8 @@ rounding.  One s for all of z reduces a convex stored energy, by Jensen's inequa
 
     int_K phi(z_K + s (z - z_K)) <= s int_K phi(z) + (1 - s) |K| phi(z_K) <= int_K phi(z).
 
-With bodies rho = sum rho_i n_i is a function of z, and a bound of rho is a bound of z.  Parameters have their
-ranges (``ngvisco.forms.cell_means``) and are limited first.
+With bodies rho = sum rho_i n_i is a function of z, and a bound of rho is a bound of z.  Parameters are
+limited to their ranges (``ngvisco.forms.cell_means``) before all else.
 
 Variables of one distortion may drift apart: J differs from det F of a tensor.  phi(F, J) at det F < J is
 below its value at rest, so that rest energy would become motion.  A state with |det F/J - 1| above

@@ -2,9 +2,9 @@
 
     dt phi + (v . grad) phi = 0,     phi at the start the distance from the outline, m, > 0 in the body.
 
-Distances are discontinuous P_k, with the velocity's order k.  They are carried with the mean velocity of the
-run's step by a scheme of order 3.  Distances have kinks in slots and at corners, and by the midpoint rule the
-short waves of these kinks lag behind.
+Distances are discontinuous P_k, with the velocity's order k.  Distances are carried with the mean velocity of
+the run's step by a scheme of order 3.  Distances have kinks in slots and at corners, and by the midpoint rule
+the short waves of these kinks lag behind.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class Distances:
                 old = start + sum(a * change for a, change in zip(row, changes, strict=True))
                 end, is_solved = self._carrier.carry(old, None)
                 if not is_solved:
-                    message = f"the distance from the outline of {name!r} is not solved: take a smaller step"
+                    message = f"the outline of {name!r} was not carried: no solution; take a smaller step"
                     raise StepError(message)
                 changes.append((end - old) / _G)
             self._ends[name].vec.FV().NumPy()[:] = end

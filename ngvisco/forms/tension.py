@@ -48,7 +48,7 @@ class Tension:
         remedy = balanced if weighs else ""
         message = (
             f"at t = {t:.4g} s {_subject(self.laws)} a negative pressure, "
-            f"{least:.4g} Pa {place}. In tension the strength of matter is only its cohesion{remedy}"
+            f"{least:.4g} Pa {place}. In tension, only cohesion gives strength{remedy}"
         )
         ranks.warn(message, InputWarning, stacklevel=4)
 

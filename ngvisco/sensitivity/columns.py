@@ -132,7 +132,7 @@ class Columns:
 
     @property
     def is_of_stages(self) -> np.ndarray:
-        """Whether each column is made of a step's stages, as rates and forces are, (columns,)."""
+        """Whether each column has values of a step's stages, such as rates and forces, (columns,)."""
         mask = self._of_rates | self.is_of_steps
         for table, _, places in self._of_tables:
             if isinstance(table, WallForces):

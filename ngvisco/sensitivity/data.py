@@ -85,9 +85,8 @@ def _float(cell: str) -> float | None:
 
 def _numbers(path: Path, line: int, row: Sequence[str], names: Sequence[str]) -> list[float]:
     if len(row) != len(names):
-        raise DataError(
-            f"{path}, row {line}: the number of values is {len(row)}, but that of columns is {len(names)}"
-        )
+        counts = f"the number of values is {len(row)}, but the number of columns is {len(names)}"
+        raise DataError(f"{path}, row {line}: {counts}")
     numbers = []
     for name, cell in zip(names, row, strict=True):
         number = as_number(_float(cell))

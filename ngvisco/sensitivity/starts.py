@@ -76,7 +76,8 @@ class Starts:
         return self.variations.of_sum(integrands)
 
     def put(self, weights: np.ndarray, states: Sequence[np.ndarray], number: int) -> None:
-        """Make y the state of this ``number`` among start states with ``weights``.
+        """Choose as y, the state by which derivatives are taken, the one with this ``number`` among the start
+        ``states``, which have ``weights``.
 
         The step has to start from the weighted sum of the states.
         """

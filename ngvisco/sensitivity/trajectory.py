@@ -63,7 +63,8 @@ class RecordedStep:
     def distances(self) -> list[tuple[float, int, int]]:
         """Weights c, k, i of the distances c B(y_k, y_i) in the scheme's dissipation.
 
-        The number i is that of a stage; the number k of the combined end is one more than the last stage's.
+        Here i is the number of a stage, and k the number of a stage, 0 for the start y_0, or one more than
+        the last stage's number for the combined end.
         """
         of_end = np.zeros(len(self.weights)) if self.ends_at_stage else self.weights
         result, last = [], len(self.stages)

@@ -109,7 +109,7 @@ def test_a_file_has_units(tmp_path):
         ("0.1,2\n0.2,3\n", "not the name of a column"),
         ("t,kinetic\n0.1,2\n", "no column 'time'"),
         ("time\n0.1\n", "no column besides"),
-        ("time,kinetic\n0.1\n", "row 2: the number of values is 1, but that of columns is 2"),
+        ("time,kinetic\n0.1\n", "row 2: the number of values is 1, but the number of columns is 2"),
         ("time,kinetic\n0.1,x\n", "kinetic = 'x'; expected a finite number"),
         ("time,kinetic\n-0.1,1\n", "times >= 0"),
         ("time,kinetic\n,1\n", "times >= 0"),

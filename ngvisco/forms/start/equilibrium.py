@@ -92,7 +92,7 @@ class Column:
         self.step, self.sampler, self.given, self.theta = step, sampler, given, theta
         self.shares, self.mesh = shares, step.mesh
         self.density: CoefficientFunction | None = None
-        if density is not None:  # projected as the loads of a step are
+        if density is not None:  # projected like the loads of a step
             self.density = GridFunction(L2(self.mesh, order=step.discretisation.m))
             LocalProjection(self.density, step.quadrature, tested(density))()
         laws = {body.name: body.material for body in step.model.bodies} or {"": step.model.material}

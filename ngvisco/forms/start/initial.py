@@ -393,7 +393,7 @@ def _check_spaces(step: Step, given: Given, values: Given, sampler: Sampler) -> 
             shape = "a symmetric tensor" if variable.kind == "symmetric" else "a 3x3 tensor"
             if step.mesh.dim == 2:
                 shape += " whose entries 13, 23, 31, 32 are 0 (plane strain)"
-            raise InitialDataError(f"{variable.name}_0", "the tensor is of another kind", shape, key)
+            raise InitialDataError(f"{variable.name}_0", "the tensor does not fit its variable", shape, key)
 
 
 def _impose_walls(step: Step, v_0: CoefficientFunction) -> None:

@@ -8,8 +8,8 @@ flux m = rho v,
 
 with the old momentum m_old.  For m_old = rho_old v_old, w = v gives exactly the change of kinetic energy plus
 1/2 int rho_old |v - v_old|^2, the remainder of the paper's convexity inequality
-(Euler-ED-basic-convexity-calculus).  For any m_old it gives E'(U)[U - u_old], with the convex kinetic energy
-E(rho, m) = max_w <m, w> - 1/2 int rho |w|^2.
+(Euler-ED-basic-convexity-calculus).  For any m_old, w = v gives E'(U)[U - u_old], with the convex kinetic
+energy E(rho, m) = max_w <m, w> - 1/2 int rho |w|^2.
 """
 
 from collections.abc import Sequence

@@ -112,7 +112,8 @@ class FieldDiffusion(PointTerm):
         return [Integrand(-inner(u.grad_zeta, w.z_slope)), *(Integrand(facets=part) for part in facets)]
 
     def lifting(self, u: Fields, w: Fields, jump: CoefficientFunction) -> list[CoefficientFunction]:
-        """Facet integrands: the trace's equation, a mean, and the lifting of the ``jump`` to the trace."""
+        """Integrands on facets: the equation of the trace zeta_hat, a mean of both sides' values, and the
+        lifting of the ``jump`` zeta_hat - zeta in the equation of the slope."""
         return [self._weight(u) * inner(jump, w.zeta_delta_hat), -inner(jump, w.z_slope * u.context.normal)]
 
     def dissipated(self, u: Fields) -> dict[str, CoefficientFunction]:

@@ -190,7 +190,7 @@ class Split:
 
     @property
     def is_steep(self) -> bool:
-        """Whether flow rules are linearised at linearisation stresses."""
+        """Whether flow rules are linearised at stresses that are unknowns of their own."""
         return bool(self.step.stresses)
 
     def follow(self, f: np.ndarray, length: float = 1.0) -> None:
