@@ -22,13 +22,15 @@ CELLS = 12
 
 
 def ellipse(centre, length, breadth, periodic):
-    """An ellipse whose length is inclined by 0.6 rad, with its images over periodic boundaries."""
+    """An ellipse inclined by 0.6 rad, with its images over periodic boundaries that meet the unit square."""
     angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     along, across = length / 2 * np.cos(angles), breadth / 2 * np.sin(angles)
     turn = np.array([[np.cos(0.6), -np.sin(0.6)], [np.sin(0.6), np.cos(0.6)]])
     points = np.stack([along, across], axis=1) @ turn.T + centre
     moves = product(*((-1, 0, 1) if axis in periodic else (0,) for axis in "xy"))
-    return reduce(or_, (nv.Polygon((points + move).tolist()) for move in moves))
+    images = [points + move for move in moves]
+    inside = [image for image in images if (image.max(axis=0) > 0).all() and (image.min(axis=0) < 1).all()]
+    return reduce(or_, (nv.Polygon(image.tolist()) for image in inside))
 
 
 def table_of(centre, periodic="xy"):

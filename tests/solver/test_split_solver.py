@@ -203,7 +203,7 @@ def test_an_increment_is_solved_no_more_exactly_than_the_end_of_the_iteration_ne
     for bound, tolerance in ((loosest, 1e-10), (0.0, 1e-10), (0.0, 1e-13)):
         monkeypatch.setattr(split_solver, "_LOOSEST", bound)
         options = replace(TWO_LEVELS, tolerance=tolerance)
-        run = simulation(mesh=box((1, 1, 1), maxh=0.4), newton=options)
+        run = simulation(mesh=box((1, 1, 1), maxh=0.5), newton=options)
         used, newton = systems(run), run.solver.newton
         runs.append((run.advance(), newton.unknowns.pack(), *zip(*used, strict=True)))
     (row, state, loose, directions), (strict_row, _, strict, more), (_, solution, _, _) = runs
