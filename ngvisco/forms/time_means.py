@@ -212,8 +212,8 @@ def _equal(a: float, b: float) -> Iterable[tuple[float, float]]:
 class TimeMean:
     """Mean of a function of place and ``ngvisco.time``, as a function of place.
 
-    ``make`` returns an array for the present time, whose mean is written to ``mean``.  The rule is found from
-    the function on ``walls``, by default in cells.
+    ``make`` returns an array for the present time, whose mean is written to ``mean``.  The rule in time is
+    found from the function's values on ``walls``, by default from its values in cells.
     """
 
     def __init__(

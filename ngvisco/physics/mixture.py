@@ -331,7 +331,8 @@ class Mixture(Material):
         return {DAMAGE.name: self.damages[body].damage.name} if body in self.damages else {}
 
     def own(self, body: str, z: Values) -> dict[str, Any]:
-        """Values that contain those of a body's own variables under the names that its energy reads."""
+        """The values ``z``, and the values of a body's own variables under the names by which the body's
+        energy reads them."""
         return {**z, **{name: z[carried] for name, carried in self.own_names(body).items()}}
 
     def shears(self, z: Values) -> dict[str, Any]:

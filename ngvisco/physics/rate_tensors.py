@@ -155,7 +155,8 @@ class RateTensors:
         stop: int,
         places: Callable[[int, int], tuple[np.ndarray, np.ndarray]],
     ) -> None:
-        """Add (C_xn + sum_m T_xnm z_m) factor to target for all x, n; ``places`` has target and factor."""
+        """For all x and n, add (C_xn + sum_m T_xnm z_m) times a factor to a target; ``places(x, n)`` returns
+        target and factor."""
         of_constant, of_linear = self._entries_within(first, stop)
         for (x, n), C in of_constant:
             target, factor = places(x - first, n)

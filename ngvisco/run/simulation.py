@@ -88,8 +88,9 @@ class Simulation(RunState):
         A further term without unknowns, for manufactured solutions.
     terms : sequence of Term
         Further terms of the system, e.g. a drag: ``PointTerm`` objects with ``cells(u, w)``, ``facets(u, w)``
-        and ``entries(u)`` (``ngvisco.forms.term``), whose entries are columns of the ledger.  They act in
-        both solvers; from a term with ``form(u, w)`` alone the split solver takes only the flow's rows.
+        and ``entries(u)`` (``ngvisco.forms.term``), whose entries are columns of the ledger.  ``PointTerm``
+        objects act in both solvers; of a term with ``form(u, w)`` alone the split solver takes only the rows
+        of the flow.
     passive : sequence of str
         Fields carried by the flow: ``"F_tot"``, ``"reference_map"``, ``"creep_strain"``.
     symmetry : str

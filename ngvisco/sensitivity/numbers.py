@@ -193,7 +193,8 @@ class Numbers:
         values = []
         for number in self.wanted:
             parts = zip(self._weights(number, history.times), (history.ends, history.integrals), strict=True)
-            read = [(weights, rows, weights.any(axis=0)) for weights, rows in parts]  # others may be NaN
+            # columns without a weight are left out, since they may be NaN
+            read = [(weights, rows, weights.any(axis=0)) for weights, rows in parts]
             values.append(sum(np.tensordot(w[:, at], rows[:, at], 2) for w, rows, at in read))
         return np.array(values)
 

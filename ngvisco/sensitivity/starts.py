@@ -92,7 +92,7 @@ class Starts:
         self._other_momentum.vec.FV().NumPy()[:] = remaining
 
     def transposed(self, rows: np.ndarray) -> np.ndarray:
-        """Products R_y^T of each of ``rows``, (numbers, unknowns), with y as ``put``.
+        """Products of R_y^T with each of ``rows``, (numbers, unknowns); ``put`` chooses y.
 
         Before the call the step has to be set up for the stage, with the stage's solution as the present
         state.

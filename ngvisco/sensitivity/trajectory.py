@@ -78,7 +78,7 @@ class RecordedStep:
     def change(self) -> np.ndarray:
         """Difference of the end from the sum of the states with ``weights``, (unknowns,).
 
-        For fields that evolve this is the limiter's change.
+        For fields that evolve, the difference is the limiter's change.
         """
         states = [self.state, *(stage.state for stage in self.stages)]
         return self.after - sum(w * y for w, y in zip(self.weights, states, strict=True))
