@@ -357,10 +357,10 @@ class TabulatedRates(Rates):
                     parts.append((of_opening, -rate, -self.tensors.opened(stress, openings)))
                 for weight, rates, stresses in parts:
                     (by_z,) = derivatives(weight, [values])
-                    read = np.flatnonzero(by_z.any(axis=1))
-                    along = by_z[read].T[:, None]
-                    of_rate[:, where, read] += rates.T[:, :, None] * along
-                    of_stress[:, :, read] += stresses.T[:, :, None] * along
+                    X_read, read = np.flatnonzero(stresses.any(axis=1)), np.flatnonzero(by_z.any(axis=1))
+                    for m in read:  # as a view: copies of columns would take most of the time
+                        of_rate[:, where, m] += (rates * by_z[m]).T
+                        of_stress[:, X_read, m] += (stresses[X_read] * by_z[m]).T
         return of_rate, of_stress
 
     def rate(self, z: UnknownValues, X: np.ndarray, first: int = 0) -> np.ndarray:

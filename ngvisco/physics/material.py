@@ -192,6 +192,12 @@ class Material(ABC):
         return ()
 
     @property
+    def curved_part(self) -> Material:
+        """A material of some of the variables whose energy differs from phi by a linear function of all
+        variables, so that both have one phi''; by default the material itself."""
+        return self
+
+    @property
     def referential_density(self) -> Modulus | None:
         """The referential density rho_R, kg/m^3, of an energy that reads rho = rho_R/J; None (default) for
         other energies. rho_R relates the initial J to the initial density."""

@@ -407,6 +407,16 @@ class Mixture(Material):
             )
         return reduce(add, (*self.volumes(z, 1 / self.fractions.total(z)).values(), *self.shears(z).values()))
 
+    @cached_property
+    def curved_part(self) -> Material:
+        if AMOUNT + self.bodies[0].name not in self.linear_in_shears or self.parameters:
+            return self
+
+        def volumetric(z: Values) -> Any:
+            return reduce(add, self.volumes(z, 1 / self.fractions.total(z)).values())
+
+        return EnergyPart(volumetric, tuple(v for v in self.variables if isinstance(v, (Amount, Entropy))))
+
     def response(self, dim: int) -> Respond | None:
         if self.has_one_volume:
             return None

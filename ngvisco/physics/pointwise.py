@@ -102,23 +102,35 @@ class ArrayResponse:
 
     def __init__(self, material: Material, dim: int, both: Both) -> None:
         self.both, self.curved = both, curved_components(material, dim)
+        part, slices = material.curved_part, material.states(dim).slices
+        places = sorted(part.states(dim).slices.items(), key=lambda entry: entry[1].start)
+        self.read = np.concatenate([np.r_[slices[name]] for name, _ in places])
+        """Numbers of the components of the variables of ``Material.curved_part``."""
+        of_part = both if part is material else energy_and_slope(part, dim)
+        assert of_part is not None  # arrays evaluate the whole energy
+        self._of_part = of_part
 
     def slope(self, z: np.ndarray) -> np.ndarray:
         """phi'(z), both (N, points), real or complex."""
         return where_energy_is(*self.both(z))
 
+    def slope_of_part(self, z: np.ndarray) -> np.ndarray:
+        """The slope of ``Material.curved_part`` by the components ``read``, for their values z, both (read,
+        points), real or complex."""
+        return where_energy_is(*self._of_part(z))
+
     def __call__(self, states: np.ndarray) -> Response:
         energy, slope = self.both(np.ascontiguousarray(states.T))
-        (count, size), curved = states.shape, self.curved
+        (count, size), curved, read = states.shape, self.curved, self.read
         hessian = np.zeros((count, size, size))
-        units = 1j * TINY * np.eye(size)[:, curved, None]
+        units = 1j * TINY * np.eye(size)[read[:, None], curved, None]
         at_once = max(1, CHUNK // max(1, len(curved)))
         for start in range(0, count if len(curved) else 0, at_once):
             some = slice(start, start + at_once)
-            along = states.T[:, None, some] + units
-            columns = self.both(along.reshape(size, -1))[1].imag.reshape(along.shape).T / TINY
+            along = states.T[read, None, some] + units
+            columns = self._of_part(along.reshape(len(read), -1))[1].imag.reshape(along.shape).T / TINY
             for m, column in zip(curved, columns.swapaxes(0, 1), strict=True):
-                hessian[some, m] = hessian[some, :, m] = column
+                hessian[some, m, read] = hessian[some, read, m] = column
         # a logarithm's derivative is finite beyond its pole: NaN marks a state without energy
         hessian[~np.isfinite(energy)] = np.nan
         return Response(energy, np.ascontiguousarray(slope.T), hessian)

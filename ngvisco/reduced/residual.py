@@ -115,12 +115,13 @@ class CellPart:
         return {(place, name): loads for place, rows in both.items() for name, loads in rows.items()}
 
 
-def parts_of(cells: int, points: int) -> list[slice]:
-    """Divide the cells into ranges of nearly equal size: one range, or an even number of ranges.
+def parts_of(cells: int, points: int, together: int = TOGETHER) -> list[slice]:
+    """Divide the cells into ranges of nearly equal size, of up to ``together`` points: one range, or an even
+    number of ranges.
 
     ``points`` is the number of points in a cell.  The ranges do not depend on the number of threads.
     """
-    count = -(-cells * points // TOGETHER)
+    count = -(-cells * points // together)
     count = max(count + count % 2, 1) if count > 1 else 1
     ends = np.linspace(0, cells, count + 1).astype(int).tolist()
     return [slice(*ends_of) for ends_of in itertools.pairwise(ends)]
@@ -182,10 +183,15 @@ class ReducedResidual:
         }
         """Name of the unknown in cells, and matrix of the mean's loads, for each facet mean of one unknown,
         by the mean's name."""
-        cells = step.mesh.ne
-        ranges = parts_of(cells, self.op.points.per_cell) if self.slope.is_local else [slice(0, cells)]
-        self.parts = [CellPart(self, cell_range) for cell_range in ranges]
+        self.parts = self.divided()
         self.programs = Programs()
+
+    def divided(self, together: int = TOGETHER) -> list[CellPart]:
+        """Parts of the mesh with up to ``together`` points; the whole mesh if slopes are not local."""
+        cells, ranges = self.step.mesh.ne, [slice(0, self.step.mesh.ne)]
+        if self.slope.is_local:
+            ranges = parts_of(cells, self.op.points.per_cell, together)
+        return [CellPart(self, cell_range) for cell_range in ranges]
 
     def _divide(self, step: Step) -> None:
         """Divide the terms at points into ``carried``, polynomials for which a rule of fewer points is exact,

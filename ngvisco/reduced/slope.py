@@ -49,8 +49,13 @@ class PointwiseSlope:
         self._kept: tuple[np.ndarray, np.ndarray, Response] | None = None
         self.response = step.tabulated_rates.response
         self._has_own_response = material.response(step.mesh.dim) is not None
-        self.arrays = self.response.slope if isinstance(self.response, ArrayResponse) else None
-        """The slope as a function of arrays if the energy is an array law, else None."""
+        self.arrays = self.curving = None
+        """The slope as a function of arrays, and that of the energy's part with curvature by the components
+        ``_read``, if the energy is an array law, else None."""
+        self._read = every
+        if isinstance(self.response, ArrayResponse):
+            self.arrays, self.curving = self.response.slope, self.response.slope_of_part
+            self._read = every if self.lagged.any() else self.response.read
 
     @property
     def is_local(self) -> bool:
@@ -87,34 +92,37 @@ class PointwiseSlope:
         n = self.components
         if self.lagged.any() and self._has_own_response:
             return np.ascontiguousarray(self._answer(z_values).hessian.transpose(1, 2, 0))
-        result = np.zeros((n, n, z_values.shape[1]))
+        result = np.zeros((z_values.shape[1], n, n)).transpose(1, 2, 0)  # in order for products at points
         directions = np.zeros((n, len(self._together)))
         for k, columns in enumerate(self._together):
             directions[columns, k] = 1.0
         for k, change in enumerate(self._along(z_values, directions)):
             for m in (columns := self._together[k]):
-                rows = slice(None) if len(columns) == 1 else self._own[m]
-                result[rows, m] = change[rows]
+                rows = self._read if len(columns) == 1 else self._own[m]
+                result[rows, m] = change if len(columns) == 1 else change[rows]
         for columns in self._together:
             for m in columns if len(columns) > 1 else ():
                 result[self._shared, m] = result[m, self._shared]
-        result[:, self._linear] = result[self._linear].swapaxes(0, 1)
+        linear = np.intersect1d(self._linear, self._read)
+        result[:, linear] = result[linear].swapaxes(0, 1)
         return result
 
     def _along(self, z_values: np.ndarray, directions: np.ndarray) -> Iterator[np.ndarray]:
-        """Yield phi''(z) d, (n, points), for each column d of ``directions``, (n, k).
+        """Yield the components ``_read`` of phi''(z) d for each column d of ``directions``, (n, k); the other
+        components vanish.
 
         The points are repeated for several directions at once, because a law of many operations takes
         hardly longer for several directions than for one.
         """
         count, points = directions.shape[1], z_values.shape[1]
-        if self.arrays is None or self.lagged.any():
+        if self.curving is None or self.lagged.any():
             along = self.derivative(z_values)
             yield from (along(np.broadcast_to(d[:, None], z_values.shape)) for d in directions.T)
             return
         for start in range(0, count, size := max(1, TOGETHER // max(1, points))):
-            group = directions.T[start : start + size, :, None]
-            yield from derivative_of(self.arrays(repeated_along(z_values, group)), len(group)).swapaxes(0, 1)
+            group = directions.T[start : start + size, self._read, None]
+            slopes = self.curving(repeated_along(z_values[self._read], group))
+            yield from derivative_of(slopes, len(group)).swapaxes(0, 1)
 
     def _answer(self, z_values: np.ndarray) -> Response:
         """The material's own response with lagged variables, kept for the same states."""

@@ -43,6 +43,27 @@ def test_rounding_at_rest_is_no_difference():
     assert slope.arrays is not None
 
 
+def test_bodies_are_differentiated_where_their_energy_is_curved():
+    """Energies that are linear in X_i and n_i have the curvature of the common volumetric energy alone."""
+    gas = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 10 * (J - 1) * (J - 1) / J)
+    solid = nv.ReferentialNeoHookean(K_e=20.0, G_e=3.0)
+    viscosity = nv.StokesViscosity(K_v=0.1, G_v=0.1)
+    disc = nv.Body(name="disc", where=nv.Ball((0.4, 0.5), 0.2), material=solid, density=2.0)
+    run = small_run(
+        bodies=[nv.Body(name="medium", material=gas, viscosity=viscosity, density=1.0), disc], solver="split"
+    )
+    slope, material = run.solver.newton.residual.slope, run.model.material
+    assert [v.name for v in material.curved_part.variables] == ["n_medium", "n_disc"]
+    z = rest_state(material, 2)[:, None]
+    z = z + 0.1 * np.random.default_rng(0).standard_normal((len(z), 5))
+    along, hessian = slope.derivative(z), slope.hessian(z)
+    by_columns = np.stack([along(np.broadcast_to(e[:, None], z.shape)) for e in np.eye(len(z))], axis=1)
+    assert abs(hessian).max() > 1
+    assert np.allclose(hessian, by_columns, rtol=0, atol=1e-13 * abs(by_columns).max())
+    response = slope.response(z.T).hessian.transpose(1, 2, 0)
+    assert np.allclose(response, by_columns, rtol=0, atol=1e-13 * abs(by_columns).max())
+
+
 def test_one_derivative_gives_a_column_of_each_branch():
     coupled = nv.CustomMaterial(
         transported=(LeftCauchyGreen(exponent=-5 / 3), CofactorLeftCauchyGreen(exponent=-4 / 3), Jacobian()),
@@ -59,9 +80,9 @@ def test_one_derivative_gives_a_column_of_each_branch():
     slope, states = run.solver.newton.residual.slope, run.rothe_step.layout.states
     z = rest_state(run.model.material, 2)[:, None]
     z = z + 0.1 * np.random.default_rng(0).standard_normal((states.size, 5))
-    along, arrays, calls = slope.derivative(z), slope.arrays, []
+    along, curving, calls = slope.derivative(z), slope.curving, []
     by_columns = np.stack([along(np.broadcast_to(e[:, None], z.shape)) for e in np.eye(states.size)], axis=1)
-    slope.arrays = lambda values: calls.append(values.shape[1]) or arrays(values)
+    slope.curving = lambda values: calls.append(values.shape[1]) or curving(values)
     hessian = slope.hessian(z)
     largest = sum(states.spaces[name].size for name in ("B_slow", "N_slow"))
     assert calls == [5 * (largest + 1)] and largest + 1 < states.size  # 5 points for each column, and J

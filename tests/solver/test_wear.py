@@ -4,6 +4,7 @@ from support import assert_goes_on, swirling
 
 import ngvisco as nv
 from ngvisco.solver.options import SplitOptions
+from ngvisco.solver.split.solver import Split
 from ngvisco.solver.split.wear import Wear
 
 COST = 30
@@ -71,6 +72,30 @@ def test_a_slow_tangent_is_renewed_before_the_iteration_has_become_long():
     assert not wear.is_dear(1e6)  # 6 in place of 4.6
     wear.rate(0.0, is_new=True)  # the first increment of the next step
     assert not wear.is_dear(1e6)
+
+
+def test_an_increment_by_a_worn_tangent_is_computed_anew_at_once(monkeypatch):
+    """Every contraction counts as slow here.  No residual lies between an increment that shows that its
+    tangent is worn and the new tangent, and the contraction by the old tangent does not wear the new one."""
+    worn = SplitOptions(renewed_above=1e9, stale_above=1e-12)
+    run, events = swirling(0.3, 0.02, solver="split", newton=nv.NewtonOptions(split=worn)), []
+
+    def note(name, letter):
+        kept = getattr(Split, name)
+
+        def noted(*given, **named):
+            events.append(letter)
+            return kept(*given, **named)
+
+        monkeypatch.setattr(Split, name, noted)
+
+    for name, letter in (("evaluated", "E"), ("solved", "S"), ("renew", "R")):
+        note(name, letter)
+    run.advance()
+    increments = "".join(events).split("E")[1:]
+    assert increments[:3] == ["RS", "SRS", "SRS"]
+    assert set(increments[3:]) <= {"SRS", "S"}
+    assert increments[-1] == "S"  # a tangent is not renewed for the last increments
 
 
 def test_counts_are_restored():

@@ -84,14 +84,14 @@ class FlowSchurComplement:
         with self.residual.ranks.together(np.linalg.LinAlgError):
             self.sweep.update(at)
             self.points.begin(at)
-            parts = list(zip(self.points.parts, self.residual.parts, strict=True))
-            self.residual.share(lambda both: self._form(both[0], both[1], at), parts)
+            self.residual.share(lambda part: self._form(part, at), self.points.parts)
         self.rest = self._rest()
 
-    def _form(self, part: tuple[slice, CellTerms], fine: CellPart, at: Evaluation) -> None:
+    def _form(self, part: tuple[slice, CellTerms, CellPart], at: Evaluation) -> None:
         """Form the element matrices of some cells: inertia by the residual's rule, the rest by the coarse
         rule."""
-        p, where = self.points.update(part, at), part[0]
+        where, terms, fine = part
+        p = self.points.update(where, terms, at)
         d, n, local, q, per = self.dim, self.components, self.local, self.functions, self.op.v.per_cell
         cells, op = where.stop - where.start, p.terms.op
         count, shapes = cells * per, self._shapes[op.places]

@@ -25,9 +25,14 @@ from ngvisco.physics.arrays import Array
 from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.reduced.evaluation import CellTerms
 from ngvisco.reduced.operators import Operators
-from ngvisco.reduced.point_fields import TOGETHER, derivative_of, incremented, repeated, repeated_along
-from ngvisco.reduced.residual import Evaluation, ReducedResidual
+from ngvisco.reduced.point_fields import TOGETHER as REPEATED
+from ngvisco.reduced.point_fields import derivative_of, incremented, repeated, repeated_along
+from ngvisco.reduced.residual import TOGETHER, Evaluation, ReducedResidual
 from ngvisco.reduced.slope import PointwiseSlope
+
+_ENTRIES = 800_000
+"""Largest number of entries of phi'', and of K, at the points of one part, which stay in the processor's
+cache."""
 
 
 class _AtPoints:
@@ -144,8 +149,10 @@ class PointTangent(_AtPoints):
         self.collocated = None if collocated is None else CollocatedTangent(residual, collocated)
         rates, count = residual.rates, operators.points.count
         self._creeps = bool(rates.mechanisms) and rates.is_local and not rates.creep_is_collocated
-        self.parts = [(part.cells, terms.part(part.cells)) for part in residual.parts]
-        self._stores = len(self.parts) == 1
+        fine = residual.divided(min(TOGETHER, max(1, _ENTRIES // self.components**2)))
+        self.parts = [(part.cells, terms.part(part.cells), part) for part in fine]
+        """Ranges of cells, with the terms at the points of the coarse rule and of the residual's rule."""
+        self._stores = len(residual.parts) == 1
         """Whether all resolvents are stored, because the mesh is one part and they take little memory."""
         n, X = self.components, len(rates.tensors.constant)
         kind = precision.SINGLE if self.collocated is None else np.float64
@@ -177,9 +184,9 @@ class PointTangent(_AtPoints):
         if self.collocated is not None:
             self.collocated.update(at)
 
-    def update(self, part: tuple[slice, CellTerms], at: Evaluation) -> PointValues:
+    def update(self, cells: slice, terms: CellTerms, at: Evaluation) -> PointValues:
         """Form K and its resolvent in some cells; return d rate/dX and the force's derivative."""
-        (cells, terms), u = part, part[1].fields(at.coefficients)
+        u = terms.fields(at.coefficients)
         rates, where = self.residual.rates, terms.op.places
         columns = rates.columns(u.z.value, rates.openings(u))
         K, force, beside = self._by_fields(terms, u, columns)
@@ -293,7 +300,7 @@ class PointTangent(_AtPoints):
                 continue
             M = rates.driving(mechanism, u)
             slopes.append(slope := np.empty((points, size, size)))
-            for start in range(0, size, group := max(1, TOGETHER // max(points, 1))):
+            for start in range(0, size, group := max(1, REPEATED // max(points, 1))):
                 along = units.value.transpose(2, 0, 1)[start : start + group, ..., None]
                 many = repeated(u, len(along))
                 if mechanism.body is not None:
@@ -356,7 +363,7 @@ class PointTangent(_AtPoints):
         cells' matrices, which would take more memory.
         """
         op, n, result = self.op.z, self.components, np.empty(dz.shape, self.rate_slope.dtype)
-        for cells, _ in self.parts:
+        for cells, *_ in self.parts:
             terms, resolvent = self._kept[cells.start]
             rows = slice(op.local * cells.start, op.local * cells.stop)
             if resolvent is not None:

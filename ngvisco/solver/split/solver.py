@@ -7,8 +7,9 @@ linear system for the flow, which contains the fields' response to the flow (``F
 solved by GMRES (``Preconditioner``). Three things distinguish this iteration from Newton's method: a coarser
 quadrature rule; a fixed number of sweeps; and an operator that is kept for several increments. The operator
 is renewed after a long increment, if increments shrink too little, or if further directions of the linear
-systems, or further increments until the end, cost as much as a renewal (``Wear``). Between renewals only the
-hyperviscosity is linearised again, because it changes suddenly.
+systems, or further increments until the end, cost as much as a renewal (``Wear``). If an increment shows that
+its operator is outdated, it is computed anew with the new operator, without another residual. Between
+renewals only the hyperviscosity is linearised again, because it changes suddenly.
 
 ``iterate`` replaces x by x - f(x), f = P^{-1} R, until f is small. If the increment f is not finite, or much
 longer than the smallest increment so far, an iterate nearer to the best iterate replaces x. ``damped`` forms
@@ -144,16 +145,17 @@ class Split:
         size of this increment.
         """
         problem.poll()
-        options, fresh, was_fresh = self.options.split, not self.is_factorised, self.is_fresh
-        self.is_fresh = fresh
+        options, was_fresh = self.options.split, self.is_fresh
+        self.is_fresh = False
         if not self.is_finite(at):
+            self.is_fresh = not self.is_factorised
             return np.zeros_like(x), np.inf
-        if fresh:
+        if not self.is_factorised:
             self.renew(problem, at)
         else:
             self.preconditioner.linearise(at, self._follows(last))
         f = self.solved(at, expected)
-        for better in (lambda: not fresh, self.preconditioner.strengthen):
+        for better in (lambda: not self.is_fresh, self.preconditioner.strengthen):
             if self.preconditioner.iterations >= options.flow_iterations and better():  # not solved
                 self.renew(problem, at)
                 f = self.solved(at, expected)
@@ -162,6 +164,11 @@ class Split:
         if not self.is_steep:
             self.wear.rate(size / last, was_fresh)
         self._stale = size > options.stale_above * last
+        if not self.is_steep and self._is_worn(size) and size <= options.growth * last:
+            self.renew(problem, at)  # a residual costs more than the increment that is given up
+            f = self.solved(at, expected)
+            self.wear.count(self.preconditioner.iterations)
+            size = self.size(f)
         return f, size
 
     def is_finite(self, at: Evaluation) -> bool:
@@ -213,13 +220,19 @@ class Split:
         gained = max(1 - size / last, 0.0) or 1.0
         return self.size(f, coarse=True) <= gained * tolerance
 
+    def _is_worn(self, size: float) -> bool:
+        """Whether the increment of length ``size`` shows that its tangent, which is an old one, is outdated.
+
+        An increment by a new tangent shows nothing: the contraction so far was that of the tangent before."""
+        slow = self._stale and not self.is_steep  # steep rules renew the operator alone
+        end = self.options.split.margin * self.options.tolerance
+        return not self.is_fresh and size > 1e3 * end and (slow or self.wear.is_dear(size / end))
+
     def reset_if_worn(self, f: np.ndarray, size: float) -> None:
         """Drop the tangent if the increment f shows that it is outdated; the next increment then makes a new
         tangent."""
         options = self.options.split
-        slow = self._stale and not self.is_steep  # steep rules renew the operator alone
-        end = options.margin * self.options.tolerance
-        worn = (slow or self.wear.is_dear(size / end)) and size > 1e3 * end
+        worn = self._is_worn(size)
         before, self._turned = self._turned, self.sizes(f)[1] if self.norm.shared else 0.0
         bends = self._turned > max(options.bends_above, 0.3 * before)  # a fixed tangent would not contract
         far = options.renewed_above * (10 if self.is_steep else 1)
@@ -242,7 +255,7 @@ class Split:
         self.is_factorised = False
         self.preconditioner.update(at)  # no tangent remains if this fails
         self.wear.renew()
-        self.is_factorised = True
+        self.is_factorised = self.is_fresh = True
         problem.factorised()
 
     def size(self, f: np.ndarray, *states: BaseVector, coarse: bool = False) -> float:
