@@ -193,8 +193,7 @@ class Material(ABC):
 
     @property
     def curved_part(self) -> Material:
-        """A material of some of the variables whose energy differs from phi by a linear function of all
-        variables, so that both have one phi''; by default the material itself."""
+        """A material of some of the variables, whose energy has the phi'' of all variables."""
         return self
 
     @property
@@ -349,8 +348,7 @@ def conjugates_along(phi: Tensor, variables: Values, direction: Values) -> dict[
 def rate_power(
     material: Material, z: Values, zeta: Values, L: Tensor, Pi: Tensor, names: Sequence[str] | None = None
 ) -> Tensor:
-    """The power sum_i zeta_i : rate_i(z; L, Pi) per volume, Pa/s, over all variables or over ``names``
-    alone."""
+    """The power sum_i zeta_i : rate_i(z; L, Pi) per volume, Pa/s, over all variables or ``names`` alone."""
     total = 0.0 * tr(L)
     for v in material.variables:
         if names is not None and v.name not in names:
@@ -371,8 +369,7 @@ def cauchy_stress(
     """
     zeta = conjugates(material, z) if zeta is None else zeta
     zero = constant(np.zeros((3, 3)))
-    units = np.eye(9).reshape(9, 3, 3)
-    entries = [rate_power(material, z, zeta, constant(unit), zero) for unit in units]
+    entries = [rate_power(material, z, zeta, constant(unit), zero) for unit in np.eye(9).reshape(9, 3, 3)]
     phi = material.energy(z) if phi is None else phi
     return CF(tuple(entries), dims=(3, 3)) + phi * IDENTITY
 
@@ -380,8 +377,7 @@ def cauchy_stress(
 def rest_stress_and_modulus(material: Material) -> tuple[float, float]:
     """Mean stress and bulk modulus at rest, Pa: (J phi)' and (J phi)'' by J along F = J^{1/3} I at J = 1, for
     the parameters' typical values."""
-    J = CF(1.0).MakeVariable()
-    typical = substituted(material, lambda expression: expression.typical)
+    J, typical = CF(1.0).MakeVariable(), substituted(material, lambda expression: expression.typical)
     z = {v.name: v.from_distortion(J ** (1 / 3) * Id(3)) for v in material.variables}
     stress = (J * typical.energy(z)).Diff(J)
     modulus = conjugates_along(J * typical.energy(z), {"J": J}, {"J": CF(1.0)})["J"]
@@ -396,9 +392,7 @@ def mandel_stress(
     M is minus the derivative of sum_i zeta_i : rate_i(z; 0, Pi) by the symmetric trace-free Pi; for F it is
     sym dev(F^T S_F), paper: Mandel-stress-polyconvex.
     """
-    space = trace_free_tensors(dim)
-    zero = constant(np.zeros((3, 3)))
-    entries = []
+    space, zero, entries = trace_free_tensors(dim), constant(np.zeros((3, 3))), []
     for P in space.basis:
         powers = [
             inner(zeta[v.name], material.rate(v, z, zero, constant(np.array(P))))
