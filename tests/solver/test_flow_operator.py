@@ -114,7 +114,7 @@ def test_a_part_without_cells_is_linearised(run):
     split, at, operator = prepared(run, linear(run, lambda x, y: (x + 2 * y, -y)), 0.01)
     before = operator.from_fields.copy()
     points, empty = operator.points, slice(0, 0)
-    operator._form((empty, points.terms.part(empty)), CellPart(split.residual, empty), at)
+    operator._form((empty, points.terms.part(empty), CellPart(split.residual, empty)), at)
     assert (operator.from_fields == before).all()
 
 
