@@ -14,6 +14,7 @@ one cell.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
@@ -115,13 +116,13 @@ class CellPart:
         return {(place, name): loads for place, rows in both.items() for name, loads in rows.items()}
 
 
-def parts_of(cells: int, points: int, together: int = TOGETHER) -> list[slice]:
-    """Divide the cells into ranges of nearly equal size, of up to ``together`` points: one range, or an even
-    number of ranges.
+def parts_of(cells: int, points: int, most: float = math.inf) -> list[slice]:
+    """Divide the cells into ranges of nearly equal size, of up to ``most`` and ``TOGETHER`` points: one
+    range, or an even number of ranges.
 
     ``points`` is the number of points in a cell.  The ranges do not depend on the number of threads.
     """
-    count = -(-cells * points // together)
+    count = math.ceil(cells * points / min(TOGETHER, most))
     count = max(count + count % 2, 1) if count > 1 else 1
     ends = np.linspace(0, cells, count + 1).astype(int).tolist()
     return [slice(*ends_of) for ends_of in itertools.pairwise(ends)]
@@ -186,11 +187,12 @@ class ReducedResidual:
         self.parts = self.divided()
         self.programs = Programs()
 
-    def divided(self, together: int = TOGETHER) -> list[CellPart]:
-        """Parts of the mesh with up to ``together`` points; the whole mesh if slopes are not local."""
+    def divided(self, most: float = math.inf) -> list[CellPart]:
+        """Parts of the mesh with up to ``most`` and ``TOGETHER`` points; the whole mesh if slopes are not
+        local."""
         cells, ranges = self.step.mesh.ne, [slice(0, self.step.mesh.ne)]
         if self.slope.is_local:
-            ranges = parts_of(cells, self.op.points.per_cell, together)
+            ranges = parts_of(cells, self.op.points.per_cell, most)
         return [CellPart(self, cell_range) for cell_range in ranges]
 
     def _divide(self, step: Step) -> None:

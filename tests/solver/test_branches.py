@@ -96,4 +96,4 @@ def test_creep_is_differentiated_by_its_stress_as_by_all_components(slow):
     assert np.abs(by_stress).max() > 1
     assert np.abs(expected - by_stress).max() <= 1e-12 * np.abs(by_stress).max()
     empty = slice(0, 0)  # a rank may have no cells
-    operator._form((empty, points.terms.part(empty)), CellPart(split.residual, empty), at)
+    operator._form((empty, points.terms.part(empty), CellPart(split.residual, empty)), at)

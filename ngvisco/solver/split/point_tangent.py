@@ -25,9 +25,8 @@ from ngvisco.physics.arrays import Array
 from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.reduced.evaluation import CellTerms
 from ngvisco.reduced.operators import Operators
-from ngvisco.reduced.point_fields import TOGETHER as REPEATED
-from ngvisco.reduced.point_fields import derivative_of, incremented, repeated, repeated_along
-from ngvisco.reduced.residual import TOGETHER, Evaluation, ReducedResidual
+from ngvisco.reduced.point_fields import TOGETHER, derivative_of, incremented, repeated, repeated_along
+from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.reduced.slope import PointwiseSlope
 
 _ENTRIES = 800_000
@@ -149,7 +148,7 @@ class PointTangent(_AtPoints):
         self.collocated = None if collocated is None else CollocatedTangent(residual, collocated)
         rates, count = residual.rates, operators.points.count
         self._creeps = bool(rates.mechanisms) and rates.is_local and not rates.creep_is_collocated
-        fine = residual.divided(min(TOGETHER, max(1, _ENTRIES // self.components**2)))
+        fine = residual.divided(_ENTRIES / self.components**2)
         self.parts = [(part.cells, terms.part(part.cells), part) for part in fine]
         """Ranges of cells, with the terms at the points of the coarse rule and of the residual's rule."""
         self._stores = len(residual.parts) == 1
@@ -300,7 +299,7 @@ class PointTangent(_AtPoints):
                 continue
             M = rates.driving(mechanism, u)
             slopes.append(slope := np.empty((points, size, size)))
-            for start in range(0, size, group := max(1, REPEATED // max(points, 1))):
+            for start in range(0, size, group := max(1, TOGETHER // max(points, 1))):
                 along = units.value.transpose(2, 0, 1)[start : start + group, ..., None]
                 many = repeated(u, len(along))
                 if mechanism.body is not None:
