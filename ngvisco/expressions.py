@@ -294,7 +294,7 @@ class Evaluator:
             raise self._error(node, "a function is called by its name alone, as in sqrt(x)")
         name = node.func.id
         if node.keywords or any(isinstance(argument, ast.Starred) for argument in node.args):
-            raise self._error(node, f"{name} takes only arguments in order, without names or *")
+            raise self._error(node, f"{name} takes only positional arguments, without keywords and without *")
         functions = [*self.functions, "where"]
         if name not in functions:
             hint = nearest(name, functions)

@@ -90,7 +90,7 @@ def test_time_is_that_of_the_run():
         ("1j", "not a number", 1),
         ("x if x == 1 else 2", "only the comparisons", 6),
         ("x // 2", "only the operators", 1),
-        ("sin(*x)", "only arguments in order", 1),
+        ("sin(*x)", "only positional arguments", 1),
         ("é", "unexpected character", 1),
     ],
 )

@@ -149,8 +149,8 @@ class Sharpening:
             longest = 0.9 * FAR / self.swept * self._tau
             message = (
                 f": the step moved an interface by {self.swept:.2g} heights of a cell. Steps of more than "
-                f"{FAR:g} heights displace the interface. Take dt or dt_max <= {longest:.2g} s, or larger "
-                "cells there"
+                f"{FAR:g} heights make the place of the interface inaccurate. Take dt or dt_max <= "
+                f"{longest:.2g} s, or larger cells there"
             )
             self._ranks.warn(Words(Mention(SHARP), " = ", True, message), InputWarning, stacklevel=5)
 

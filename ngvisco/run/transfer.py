@@ -213,7 +213,7 @@ def _set_fields(source: Simulation, target: Simulation, points: QuadraturePoints
         before, after = float(old.quadrature.integrate_cells(had)), float(new.quadrature.integrate_cells(has))
         if not after > 0:
             amount, integral = name.removeprefix(AMOUNT), f"the integral is {after:.3g}"
-            expected = "an integral > 0; take a finer mesh"
+            expected = "an integral > 0 on the new mesh; take a finer mesh"
             raise InitialDataError(f"transferred amount of {amount}", integral, expected)
         factors.append(before / after)
         coefficients *= factors[-1]

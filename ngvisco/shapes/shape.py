@@ -215,7 +215,7 @@ class Polygon(Shape):
         object.__setattr__(self, "points", points)
         a, b = self._edges
         if not (np.linalg.norm(b - a, axis=1) > 0).all():
-            expected = "points that each differ from the point before"
+            expected = "points, none of which equals the point before it"
             raise ParameterError("Polygon.points", self.points, expected)
         if (otherwise := _expected_of_edges(a, b)) is not None:
             raise ParameterError("Polygon.points", self.points, otherwise)

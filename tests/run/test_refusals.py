@@ -277,7 +277,7 @@ annulus(1, _, 0.5) | 1 + 1e-9 | annulus.thickness | at least 1e-06 of the domain
 Polygon(_) | ((0, 0), (2, 0), (2, 1), (3, 0), (1, 0), (1, -1)), | Polygon.points | edges 1 and 4 overlap
 Polygon(_) | ((0, 0), (2, 0), (1, 0), (1, 1)), | Polygon.points | edges 1 and 2 overlap
 Polygon(_) | ((0, 0), (1, 1), (1, 0), (0, 1)), | Polygon.points | but edges 1 and 3 cross
-Polygon(_) | ((0, 0), (0, 0), (1, 0), (0, 1)), | Polygon.points | that each differ from the point before
+Polygon(_) | ((0, 0), (0, 0), (1, 0), (0, 1)), | Polygon.points | none of which equals the point before it
 Union(_) | ((),) | Union.shapes | at least one shape
 Union((Ball((0, 0), 1.0), _)) | 3 | Union.shapes | a sequence of Shape objects
 Where(_) | PAIR | Where.function | scalar

@@ -384,8 +384,8 @@ def warn_of_corners(step: Step, times: Sequence[float]) -> None:
         rate = rates[np.argmax(np.abs(rates[:, worst])), worst]
         count = f"there are {len(every)} such cells" if len(every) > 1 else "there is one such cell"
         message = (
-            f"the velocities of the walls alone determine div v = {rate:.3g} 1/s at ({at}) m, a vertex of a "
-            "cell whose edges at this vertex lie on walls. No pressure can keep the volume of this cell; "
+            f"the velocities of the walls alone determine div v = {rate:.3g} 1/s at ({at}) m, a vertex at "
+            "which all edges of a cell lie on walls. No pressure can prevent this change of volume; "
             f"{count}. Mesh with split_corners = true, or divide these cells by "
             "geometries.split_corner_cells(mesh)"
         )

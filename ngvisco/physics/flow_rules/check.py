@@ -149,5 +149,5 @@ def _refuse(
 ) -> None:
     if (at := np.flatnonzero(wrong & tested)).size:
         unit = "Pa" if argument == "M" else "1/s"
-        where = f"{expected}; the value is that at |{argument}| = {sizes[at[0]]:g} {unit}"
+        where = f"{expected}; this value was found at |{argument}| = {sizes[at[0]]:g} {unit}"
         raise ParameterError(field, float(value[at[0]]), where)
