@@ -108,122 +108,28 @@ print_own()
 # imported after geometries, which the catalogue of case files lists
 from ngvisco.case import Case, CaseError, RunDirectoryError, load, load_case  # noqa: E402
 
-__all__ = [
-    "SCHEMES",
-    "WLF",
-    "Activated",
-    "ActivatedViscosity",
-    "AdaptiveSteps",
-    "Ball",
-    "Block",
-    "Bodies",
-    "Body",
-    "BodyForce",
-    "Carreau",
-    "Case",
-    "CaseError",
-    "CentralGravity",
-    "CheckpointError",
-    "Checkpoints",
-    "ClosedSurface",
-    "ClosureWarning",
-    "Contours",
-    "ConvexityReport",
-    "ConvexityWarning",
-    "CreepPowerWarning",
-    "Cross",
-    "DamageWarning",
-    "DataError",
-    "DefectWarning",
-    "Diffusion",
-    "Discretisation",
-    "DissipationWarning",
-    "EntropyWarning",
-    "Entry",
-    "Fit",
-    "Gradient",
-    "Gravity",
-    "HalfSpace",
-    "Heat",
-    "HyperViscosity",
-    "Image",
-    "Inflow",
-    "InflowWarning",
-    "Initial",
-    "InitialDataError",
-    "InputWarning",
-    "Integrals",
-    "Integrand",
-    "IsotropyReport",
-    "LedgerCSV",
-    "LineSamples",
-    "LinearViscosity",
-    "Material",
-    "MeshError",
-    "Misfit",
-    "Model",
-    "MomentumWarning",
-    "NavierFriction",
-    "NewtonOptions",
-    "NgviscoError",
-    "NgviscoWarning",
-    "NoSlip",
-    "NotANumberError",
-    "NotebookProgress",
-    "Observer",
-    "Open",
-    "Parameter",
-    "ParameterError",
-    "PointTerm",
-    "Polygon",
-    "PowerLaw",
-    "PrescribedNormal",
-    "PrescribedTangential",
-    "Probes",
-    "Progress",
-    "Refinement",
-    "Regularisation",
-    "Rejection",
-    "RunDirectoryError",
-    "SelfContactWarning",
-    "Shape",
-    "Simulation",
-    "Slip",
-    "SmearedWarning",
-    "StepError",
-    "StokesViscosity",
-    "StopRequested",
-    "Subdomain",
-    "TimeScheme",
-    "TimeSteps",
-    "Traction",
-    "Transfer",
-    "UnknownNameError",
-    "VTKSeries",
-    "Viscosity",
-    "WallExchange",
-    "WallForces",
-    "WallHeat",
-    "check_convexity",
-    "check_isotropy",
-    "fit",
-    "function_field",
-    "gradient",
-    "grid_field",
-    "load",
-    "load_case",
-    "plot_energies",
-    "plot_fields",
-    "plot_schemes",
-    "pulse",
-    "read_ledger",
-    "record",
-    "resume_changed",
-    "run_refined",
-    "step",
-    "table",
-    "time",
-    "transfer",
-]
+__all__ = ["Case", "load", "load_case"]
+__all__ += ["Body", "Diffusion", "Heat", "Material", "Model", "Parameter", "Regularisation"]
+__all__ += ["Activated", "ActivatedViscosity", "Carreau", "Cross", "HyperViscosity", "LinearViscosity"]
+__all__ += ["WLF", "PowerLaw", "StokesViscosity", "Viscosity"]
+__all__ += ["ConvexityReport", "IsotropyReport", "check_convexity", "check_isotropy"]
+__all__ += ["BodyForce", "CentralGravity", "Gravity", "pulse", "step", "table", "time"]
+__all__ += ["Inflow", "NavierFriction", "NoSlip", "Open", "Slip", "Traction"]
+__all__ += ["PrescribedNormal", "PrescribedTangential", "WallExchange", "WallHeat"]
+__all__ += ["Ball", "Block", "ClosedSurface", "HalfSpace", "Image", "Polygon", "Shape", "Subdomain"]
+__all__ += ["Entry", "Integrand", "PointTerm"]
+__all__ += ["Discretisation", "Initial", "function_field", "grid_field"]
+__all__ += ["SCHEMES", "AdaptiveSteps", "NewtonOptions", "Rejection", "TimeScheme", "TimeSteps"]
+__all__ += ["Observer", "Refinement", "Simulation", "Transfer", "resume_changed", "run_refined", "transfer"]
+__all__ += ["Bodies", "Checkpoints", "Contours", "Integrals", "LedgerCSV", "LineSamples"]
+__all__ += ["NotebookProgress", "Probes", "Progress", "VTKSeries", "WallForces"]
+__all__ += ["plot_energies", "plot_fields", "plot_schemes", "read_ledger", "record"]
+__all__ += ["Fit", "Gradient", "Misfit", "fit", "gradient"]
+__all__ += ["CaseError", "CheckpointError", "DataError", "InitialDataError", "MeshError"]
+__all__ += ["NgviscoError", "NotANumberError", "ParameterError"]
+__all__ += ["RunDirectoryError", "StepError", "StopRequested", "UnknownNameError"]
+__all__ += ["ClosureWarning", "ConvexityWarning", "CreepPowerWarning", "DamageWarning", "DefectWarning"]
+__all__ += ["DissipationWarning", "EntropyWarning", "InflowWarning", "InputWarning"]
+__all__ += ["MomentumWarning", "NgviscoWarning", "SelfContactWarning", "SmearedWarning"]
 __all__ += flow_rules.__all__
 __all__ += materials.__all__
