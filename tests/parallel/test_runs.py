@@ -585,7 +585,7 @@ def failed(fault, regularised):
         run.ledger.rates = run.integrator.meter = broken
     newton = run.solver.newton if fault in ("singular", "density") else None  # made by all ranks together
     if fault == "singular" and run.ranks.rank == 1:
-        def singular(part, at): raise numpy.linalg.LinAlgError("Singular matrix")
+        def singular(*arguments): raise numpy.linalg.LinAlgError("Singular matrix")
         newton.preconditioner.operator.points.update = singular
     if fault == "density" and run.ranks.rank == 1:
         equation = newton.residual.density
