@@ -74,7 +74,9 @@ class Operations:
 class Program:
     """The operations that a function of named arrays performs.  ``of`` makes a program."""
 
-    def __init__(self) -> None:
+    def __init__(self, keeps: bool = True) -> None:
+        """A program that ``keeps`` its data reads them once after each ``begin``, else at each call."""
+        self._keeps = keeps
         self._values: list[Any] = []
         self._steps: list[Operation] = []
         self._known: dict[Any, Recorded] = {}
@@ -84,12 +86,14 @@ class Program:
         self._has_begun = True
 
     @classmethod
-    def of(cls, function: Callable[[dict[Any, Any]], Arrays], arguments: Arrays) -> tuple[Self, Arrays]:
+    def of(
+        cls, function: Callable[[dict[Any, Any]], Arrays], arguments: Arrays, keeps: bool = True
+    ) -> tuple[Self, Arrays]:
         """Record ``function`` at ``arguments``; return the program and the results.
 
         Raises TypeError, or what the function raises for arrays of another class.
         """
-        program = cls()
+        program = cls(keeps)
         program._places = {name: program._put(value) for name, value in arguments.items()}
         token = _RECORDING.set(program)
         try:
@@ -159,9 +163,18 @@ class Program:
         self._at_call = Operations(later, results)
         self._steps, self._known = [], {}
         self._left = sorted((of_arguments & results).union(self._places.values()))
+        self._of_data = sorted(of_data)
         for place in range(len(self._values)):
             if place in of_arguments or place not in needed or (place in of_data and place not in seen):
                 self._values[place] = None
+        if not self._keeps:
+            self._forget()
+
+    def _forget(self) -> None:
+        """Free the data, which the next call reads again."""
+        for place in self._of_data:
+            self._values[place] = None
+        self._has_begun = False
 
     def __call__(self, arguments: Arrays) -> Arrays:
         """Results for other arguments of the same shapes."""
@@ -177,6 +190,8 @@ class Program:
         results = {name: values[place] for name, place in self._results.items()}
         for place in self._left:
             values[place] = None
+        if not self._keeps:
+            self._forget()
         return results
 
 

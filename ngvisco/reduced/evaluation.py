@@ -138,7 +138,7 @@ class _PointContext:
     @property
     def h(self) -> Array:
         """Sizes of the points' cells, m."""
-        return Array(self._op.h, None)
+        return Array(datum(partial(getattr, self._op, "h"), id(self._op), "h"), None)
 
     def rate(self, difference: Any) -> Any:
         """Return difference/tau for a number, an array of values or a linear form."""

@@ -19,7 +19,10 @@ from ngvisco.physics.recording import Arrays, Program
 class Programs:
     """Programs by the names of their functions; a function that cannot be recorded is evaluated each time."""
 
-    def __init__(self) -> None:
+    def __init__(self, keeps: bool = True) -> None:
+        """If a program ``keeps`` the data of a step, it reads them once in a step, else at each evaluation,
+        since at the points of a large mesh the data would take much memory."""
+        self._keeps = keeps
         self._programs: dict[Hashable, Program] = {}
         self._others: set[Hashable] = set()
         """Names of functions that cannot be recorded."""
@@ -66,7 +69,7 @@ class Programs:
                 return found
             self.varying.add(name)
         try:
-            self._programs[name], results = Program.of(function, c)
+            self._programs[name], results = Program.of(function, c, self._keeps)
         except Exception:  # whatever a function of arrays does with arrays of another class
             self._others.add(name)
             return function(c)

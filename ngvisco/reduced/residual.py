@@ -17,6 +17,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -30,7 +31,7 @@ from ngvisco.forms.term import CellMean, PointTerm
 from ngvisco.forms.upwinding import mean_share
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.physics.arrays import TINY, Array
-from ngvisco.physics.recording import called
+from ngvisco.physics.recording import Arrays, called
 from ngvisco.reduced.declared import Couplings
 from ngvisco.reduced.diffusion import FieldDiffusionRows
 from ngvisco.reduced.evaluation import CellTerms, Coefficients, FacetTerms
@@ -48,8 +49,7 @@ TOGETHER = 24_000
 """Number of points in cells that one part evaluates together."""
 
 RECORDED = 8_000
-"""Largest number of points in cells for which programs evaluate the terms: on larger meshes the interpreter's
-calls cost little, and a program's constants would take memory."""
+"""Largest number of points in cells for which programs keep the data of a step."""
 
 
 @dataclass
@@ -102,6 +102,10 @@ class CellPart:
             for a, weights, per in parts
         )
         return total / op.weights.reshape(op.z.cells, op.z.per_cell).sum(axis=1)
+
+    def loads_on_sides(self, at: PartFields, term: PointTerm, name: str) -> np.ndarray:
+        """Loads of a facet mean, see ``FacetTerms.loads_of``."""
+        return self.sides.loads_of(term, name, at[1])
 
     def loads(self, c: Coefficients) -> dict[tuple[str, str], np.ndarray]:
         """Loads of all terms that are evaluated at points, in the cells and on their sides, by the place and
@@ -185,7 +189,8 @@ class ReducedResidual:
         """Name of the unknown in cells, and matrix of the mean's loads, for each facet mean of one unknown,
         by the mean's name."""
         self.parts = self.divided()
-        self.programs = Programs()
+        self.programs = Programs(keeps=self.op.points.count <= RECORDED)
+        """Programs of the whole mesh, if it is one part, or of each part."""
 
     def divided(self, most: float = math.inf) -> list[CellPart]:
         """Parts of the mesh with up to ``most`` and ``TOGETHER`` points; the whole mesh if slopes are not
@@ -229,11 +234,9 @@ class ReducedResidual:
         """Evaluate the data that are constant during the step.
 
         With ``records`` the caller says that all data stay as they are until the next call: on one process
-        programs then evaluate the terms of a small mesh (``Programs``)."""
-        count = self.op.points.count
+        programs then evaluate the terms (``Programs``)."""
         # over ranks a function exchanges values, and no rank may evaluate it more often than another one
-        is_alone, is_small = not self.ranks.is_distributed, len(self.parts) == 1 and count <= RECORDED
-        runs, context = records and is_alone and is_small and self.slope.is_local, self.step.context
+        runs, context = records and not self.ranks.is_distributed and self.slope.is_local, self.step.context
         self.programs.start(runs, context.tau.Get(), context.curvature.Get())
         self.cell_terms.context.sampled.start()
         self.carried_terms.context.sampled.start()
@@ -251,7 +254,7 @@ class ReducedResidual:
         forms about the state is used.
         """
         c, hyper = self._derived(x)
-        loads = self.programs("loads", self._loads, c if hyper is None else c | {"jump": hyper.jumps})
+        loads = self._loads(c if hyper is None else c | {"jump": hyper.jumps})
         by_place = {
             name: {u: values for (at, u), values in loads.items() if at == name} for name in (CELLS, FACETS)
         }
@@ -334,20 +337,13 @@ class ReducedResidual:
             self.step.stresses.refresh(lambda: (n.z.value, n.zeta.value))
         return n
 
-    def _fields_at(self, c: Coefficients) -> Callable[[CellPart], PartFields]:
-        """A function that returns the fields of a part with the coefficients ``c``.
-
-        The fields are evaluated once for several equations if the mesh is one part, else anew for each
-        equation: values at the points of several parts would not fit the cache.
-        """
-        if len(self.parts) > 1:
-            return lambda part: part.fields(c)
-        fields = self.parts[0].fields(c)
-        return lambda _: fields
-
     def _loads(self, c: Coefficients) -> dict[tuple[str, str], np.ndarray]:
         """Loads of all terms in all cells, see ``CellPart.loads``."""
-        parts = self.share(lambda part: part.loads(c), self.parts)
+
+        def of_part(part: CellPart) -> Arrays:
+            return self.programs(("loads", part.cells.start), part.loads, c)
+
+        parts = self.share(of_part, self.parts)
         if len(parts) == 1:
             return parts[0]
         return {name: np.concatenate([of[name] for of in parts], axis=-1) for name in parts[0]}
@@ -356,7 +352,7 @@ class ReducedResidual:
         """Coefficients of all unknowns at x, and the hyperviscosity's values; a real x is put into the
         state."""
         c, hyper = self.unknowns.coefficients(x), None
-        if self.diffusion is None:
+        if self.diffusion is None and len(self.parts) == 1:
             c |= self.programs("derived", self._derived_unknowns, c)
         else:
             c |= self._derived_unknowns(c)
@@ -370,28 +366,38 @@ class ReducedResidual:
     def _derived_unknowns(self, of: Coefficients) -> dict[str, np.ndarray]:
         """Conjugates, traces and means from the coefficients of the iterated unknowns."""
         c = dict(of)
-        at = self._fields_at(c)
+        # fields are evaluated once for all equations if the mesh is one part, else anew for each equation:
+        # values at the points of several parts would not fit the cache
+        fields = self.parts[0].fields(c) if len(self.parts) == 1 else None
 
-        def joined(loads: Callable[..., np.ndarray], *of: Any) -> np.ndarray:
-            parts = self.share(lambda part: loads(part, at(part), *of), self.parts)
+        def joined(name: str, loads: Callable[[CellPart, PartFields], np.ndarray]) -> np.ndarray:
+            def of_part(part: CellPart) -> np.ndarray:
+                if fields is not None:
+                    return loads(part, fields)
+                return self.programs(
+                    (name, part.cells.start), lambda c: {name: loads(part, part.fields(c))}, c
+                )[name]
+
+            parts = self.share(of_part, self.parts)
             return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
 
         def slope(part: CellPart, u: PartFields) -> np.ndarray:
-            return called(part.inside.op.z.loads, self.slope(u[0].z.value))
+            of_part: np.ndarray = called(part.inside.op.z.loads, self.slope(u[0].z.value))
+            return of_part
 
-        c["zeta"] = called(apply, self.inverse_mass, joined(slope))
+        c["zeta"] = called(apply, self.inverse_mass, joined("zeta", slope))
         for term, name in self.means_of_sides:
             mass = self.mass_of(name)
             if (means := self._fixed_means.get(name)) is not None:
                 loads = called(apply, means[1], c[means[0]])
             else:
-                of_sides = joined(lambda part, u, *of: part.sides.loads_of(*of, u[1]), term, name)
+                of_sides = joined(name, partial(CellPart.loads_on_sides, term=term, name=name))
                 loads = -called(self.side_op.of(name).summed, of_sides)
             c[name] = called(mass.solve, called(mass.exchange.sum, loads))
             if term.stays:
                 c[name] = called(self.step.local_unknowns.largest, name, c[name].real)
         for mean in self.couplings.of_kernel["cell means"]:
-            c[mean.name] = joined(CellPart.mean, mean)
+            c[mean.name] = joined(mean.name, partial(CellPart.mean, term=mean))
         if self.diffusion is not None:
             c |= self.diffusion.slopes(self.op.z(c["z"]), c)
         return {name: values for name, values in c.items() if name not in of}

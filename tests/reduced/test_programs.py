@@ -20,9 +20,9 @@ class Function:
         return {"product": c["a"] * number}
 
 
-def run_steps(function, taus):
+def run_steps(function, taus, keeps=True):
     """Evaluate five iterates in each step, and return the number of calls of the function in each step."""
-    programs, calls = Programs(), []
+    programs, calls = Programs(keeps), []
     for step, tau in enumerate(taus):
         function.calls, function.number = 0, np.array([step + 2.0])
         programs.start(True, tau)
@@ -38,6 +38,14 @@ def test_a_program_serves_later_steps_after_one_comparison():
     assert calls == [1, 1, 0, 0]
     assert not programs.varying
     assert programs.names == ["product"]
+
+
+def test_a_program_that_keeps_no_data_reads_them_at_each_call():
+    function = Function(True)
+    calls, programs = run_steps(function, [0.1] * 3, keeps=False)
+    assert calls == [1, 1, 0]
+    function.number = np.array([7.0])  # within a step
+    assert np.array_equal(programs("product", function, C)["product"], 7.0 * C["a"])
 
 
 def test_a_function_that_changes_unseen_is_recorded_in_each_step():

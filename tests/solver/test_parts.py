@@ -13,6 +13,7 @@ import ngvisco as nv
 from ngvisco.forms.fields import Fields
 from ngvisco.geometries import box
 from ngvisco.reduced import residual
+from ngvisco.reduced.programs import Programs
 from ngvisco.reduced.residual import parts_of
 
 
@@ -45,6 +46,22 @@ def test_parts_and_threads(parts, monkeypatch):
     _, shared = solved(3, 40, monkeypatch, **parts)
     assert np.array_equal(serial, shared)
     assert np.abs(serial - whole).max() <= 1e-11 * np.abs(whole).max()
+
+
+@pytest.mark.parametrize("points", [40, 10_000], ids=["parts", "whole"])
+def test_programs_without_data_have_the_bits_of_the_terms(points, monkeypatch):
+    """Programs of large meshes read the data of a step at each evaluation."""
+    monkeypatch.setattr(residual, "RECORDED", 0)
+    run, by_programs = solved(1, points, monkeypatch)
+    of_run = run.solver.newton.residual
+    of_run.start(records=True)
+    names = of_run.programs.names
+    assert {("loads", part.cells.start) for part in of_run.parts} < set(names)
+    assert len(of_run.parts) > 1 or names == [("loads", 0), "derived"]
+    assert not of_run.programs.varying
+    monkeypatch.setattr(Programs, "start", lambda self, runs, *numbers: None)
+    _, by_terms = solved(1, points, monkeypatch)
+    assert np.array_equal(by_programs, by_terms)
 
 
 def test_forces_on_sides_are_summed_part_by_part(monkeypatch):

@@ -34,7 +34,7 @@ def assert_programs_repeat_it(split, x, other):
     residual(x)
     found = residual(other)
     if residual.slope.is_local:
-        names = ["loads"] if residual.diffusion is not None else ["derived", "loads"]
+        names = [("loads", 0)] if residual.diffusion is not None else [("loads", 0), "derived"]
         assert residual.programs.names == names
     assert np.array_equal(found.residual, expected.residual)
     assert all(
