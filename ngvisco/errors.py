@@ -264,13 +264,17 @@ def _taken(kind: Any, range: str, value: Any) -> Any:
         is_mapping = isinstance(value, Mapping) and all(isinstance(name, str) for name in value)
         return value if is_mapping and _members(parts[1], range, value.values()) is not None else None
     if container is not None:
-        if isinstance(value, (str, bytes, Mapping)) or not hasattr(value, "__iter__"):
-            return None
-        count, members = _count(parts), _members(parts[0], range, value)
-        return members if members is None or count in (None, len(members)) else None
+        members = _members(parts[0], range, value) if _has_members(value) else None
+        return members if members is None or _count(parts) in (None, len(members)) else None
     if kind in (int, float):
         return Declared(range, (kind,)).number(value)
     return value if isinstance(value, kind) else None
+
+
+def _has_members(value: Any) -> bool:
+    """True for iterables other than texts and mappings; an array without dimensions has no members."""
+    is_iterable = hasattr(value, "__iter__") and getattr(value, "ndim", 1) > 0
+    return is_iterable and not isinstance(value, (str, bytes, Mapping))
 
 
 def _members(hint: Any, range: str, values: Iterable[Any]) -> tuple[Any, ...] | None:
@@ -409,8 +413,7 @@ def require_file(field: str, value: object) -> Path:
 
 def require_collection(field: str, value: object, expected: str) -> list[Any]:
     """Members of a sequence, set or array; raises ParameterError for other values, texts and mappings."""
-    is_whole = hasattr(value, "__iter__") and hasattr(value, "__len__")
-    if isinstance(value, (str, bytes, Mapping)) or not is_whole:
+    if not _has_members(value) or not hasattr(value, "__len__"):
         raise ParameterError(field, value, expected)
     return list(value)  # type: ignore[call-overload]
 

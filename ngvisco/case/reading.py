@@ -51,7 +51,7 @@ def sections_of(text: str, source: str, directory: Path, settings: Sequence[str]
             path, value = toml.parse_override(setting)
             toml.override(data, path, value)
         except ValueError as error:
-            raise locator.error(("--set",), error) from error
+            raise locator.error((), f"the command line's {error}") from error
         overridden.append(path)
     locator = Locator(toml.key_lines(text), overridden, source, data)
     try:

@@ -212,7 +212,7 @@ class Parameter(Variable, ParameterExpression):
             raise ParameterError("Parameter.start", self.start, expected)
         declared(Parameter)["mean"].taken("Parameter.mean", self.mean)
         positive = self.mean in ("geometric", "harmonic")
-        if math.isnan(self.typical):
+        if self.typical is math.nan:  # the default
             usual = 1.0 if positive else 0.5
             object.__setattr__(self, "typical", usual if number is None else number)
         elif as_number(self.typical) is None:

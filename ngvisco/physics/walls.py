@@ -200,6 +200,10 @@ class PrescribedNormal(Passage):
 class Open(Passage):
     """A wall of given stress and free v: (T + D) n = f - p n - Z_p (v.n) n - Z_s v_t - k_p (w.n) n - k_s w_t.
 
+    The wall stays in its place and keeps its normal, so that no force is proportional to the displacement of
+    a surface and to the stress or the weight beneath: between such walls a compressed column does not buckle,
+    tension does not stiffen a strip, and gravity makes no surface waves.
+
     Raises ParameterError if a parameter is out of its range.
 
     Parameters

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_args
 import numpy as np
 from ngsolve import CF, H1, L2, CoefficientFunction, Grad, GridFunction, Periodic
 
-from ngvisco.errors import NgviscoWarning, ParameterError, Quantity, require_some_names
+from ngvisco.errors import NgviscoWarning, ParameterError, Quantity, require_names, require_some_names
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.physics.bodies import AMOUNT
@@ -182,7 +182,8 @@ class Bodies(Series):
         measures: Annotated[Sequence[Measure], Quantity(example=["deformation", "gap"])] = (),
     ) -> None:
         super().__init__(path, every)
-        self.measures = require_some_names("Bodies.measures", measures) if len(measures) else []
+        some = len(require_names("Bodies.measures", measures)) > 0
+        self.measures = require_some_names("Bodies.measures", measures) if some else []
         for name in self.measures:
             if name not in get_args(Measure):
                 raise ParameterError("Bodies.measures", name, f"one of {', '.join(get_args(Measure))}")

@@ -35,12 +35,13 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Mapping
+from types import NoneType
 from typing import TYPE_CHECKING, Annotated
 
 import h5py
 import numpy as np
 
-from ngvisco.errors import Quantity, require_count, require_file
+from ngvisco.errors import Declared, Quantity, require_count, require_file
 from ngvisco.run.files import AnyPath, write_atomically
 from ngvisco.run.ledger import Ledger, unit
 from ngvisco.run.series import Every, Series
@@ -94,7 +95,8 @@ class Checkpoints:
         require_count("Checkpoints", every=every, keep=keep)
         self.path = require_file("Checkpoints.path", path)
         self.every, self.keep = int(every), int(keep)
-        self.attributes = dict(attributes or {})
+        texts = Declared("", (Mapping[str, str], NoneType))
+        self.attributes = dict(texts.taken("Checkpoints.attributes", attributes) or {})
         self.chosen: ChosenMesh | None = None
         """The mesh of the present state; None if it is the run's first one."""
         self._kept: dict[int, Snapshot] = {}

@@ -45,6 +45,14 @@ from ngvisco.physics.tensors import IDENTITY, constant, det, dev, if_positive, s
 from ngvisco.physics.variables import TEMPERATURE, Distortion, LeftCauchyGreen, SmallStrain
 from ngvisco.run.waves import rest_pressure
 
+
+class FieldsByName(dict[str, CoefficientFunction]):
+    """Fields by name; an unknown name raises UnknownNameError."""
+
+    def __missing__(self, name: str) -> CoefficientFunction:
+        raise UnknownNameError("field", name, self)
+
+
 USUAL = ("density", "J", "velocity", "pressure", "von_mises", "temperature")
 """Fields that are drawn by default if a run has them."""
 

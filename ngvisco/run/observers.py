@@ -63,6 +63,8 @@ class Progress:
     def __init__(self, until: float, every: int = 1, stream: TextIO | None = None) -> None:
         require_count("Progress", every=every)
         require_positive("Progress", until=until)
+        if not (stream is None or hasattr(stream, "write")):
+            raise ParameterError("Progress.stream", stream, "an open text file, or None")
         self.until, self.every, self.stream = float(until), int(every), stream
         self._last = ""
 

@@ -7,21 +7,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ngvisco.errors import CheckpointError, ParameterError, UnknownNameError
+from ngvisco.errors import CheckpointError, ParameterError, UnknownNameError, require_type
 from ngvisco.forms.term import PRODUCTION
 from ngvisco.run.fields import USUAL, field_unit
 from ngvisco.run.files import AnyPath
+from ngvisco.run.ledger import Ledger
 from ngvisco.run.pictures import LABELS, PAGE, figure, save, widened
 from ngvisco.run.series import read_columns
 from ngvisco.run.snapshot import read_ledger
 from ngvisco.timestepping.integrator import LIMITER, LIMITER_WALLS
-
-if TYPE_CHECKING:
-    from ngvisco.run.ledger import Ledger
 
 _OF_ENERGY = ("dissipation", "power")
 """Kinds of entries in W; other kinds are states, entropies, masses."""
@@ -136,6 +133,7 @@ def plot_history(ledger: Ledger, path: AnyPath) -> None:
 
 
 def _require_steps(field: str, ledger: Ledger) -> None:
+    require_type(field, ledger, Ledger)
     if len(ledger.rows) < 2:
         raise ParameterError(field, "a ledger without steps", "a ledger with at least one step")
 

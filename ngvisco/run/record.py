@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from ngvisco.errors import ParameterError, as_number, require_path
+from ngvisco.errors import ParameterError, as_number, require_path, require_type
 from ngvisco.expressions import parse
 from ngvisco.run.body_tables import Bodies
 from ngvisco.run.checkpoint import Checkpoints
@@ -45,6 +45,7 @@ def record(
         Content of ``fields.png`` in names of ``simulation.fields`` and their components:
         ``{"speed, m/s": "sqrt(velocity_1**2 + velocity_2**2)"}``.  By default there is no such picture.
     """
+    require_type("record.simulation", simulation, Simulation)
     out = require_path("record.directory", directory)
     if (end := as_number(until)) is None or end <= simulation.t:
         raise ParameterError("record.until", until, f"a finite number > {simulation.t:g}")

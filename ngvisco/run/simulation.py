@@ -193,6 +193,8 @@ class Simulation(RunState):
             message = f"the mesh has {self.mesh.ne} cells, but had {self._cells_here} when the run was made"
             message = f"{message}; make another run on the refined mesh, and move the state by nv.transfer"
             raise MeshError(message)
+        if stop != math.inf and ((end := as_number(stop)) is None or end <= self.t):
+            raise ParameterError("advance.stop", stop, f"a number > {self.t:g}")
         with computing(), self.solver.workers(), ending_all_ranks():
             self._start_ledger()
             self.interruption.begin()

@@ -20,7 +20,7 @@ from ngvisco.forms.start.initial import Initial, set_initial
 from ngvisco.forms.system import Step
 from ngvisco.forms.tension import Tension
 from ngvisco.forms.unfelt import require_held
-from ngvisco.run.fields import output_fields, require_names_of_their_own
+from ngvisco.run.fields import FieldsByName, output_fields, require_names_of_their_own
 from ngvisco.run.ledger import Ledger, closure_limit
 from ngvisco.run.passive import CARRIED, PassiveFields
 from ngvisco.run.ranks import Numbering
@@ -150,7 +150,7 @@ class RunState:
         (``ngvisco.run.fields``), as are the run's passive fields.
         """
         self.rothe_step.local_unknowns.update_stored()
-        return {**self._expressions, **self.passive.fields}
+        return FieldsByName(self._expressions | self.passive.fields)
 
     @cached_property
     def _expressions(self) -> dict[str, CoefficientFunction]:

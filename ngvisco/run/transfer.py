@@ -32,6 +32,7 @@ from ngvisco.physics.bodies import AMOUNT, Amount
 from ngvisco.run import snapshot
 from ngvisco.run.files import AnyPath
 from ngvisco.run.ledger import TRANSFER, energy_of
+from ngvisco.run.state import RunState
 
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
@@ -83,6 +84,9 @@ def transfer(source: Simulation, target: Simulation) -> Transfer:
         The target takes the source's time and counts steps from there, and its ledger begins with the new
         state.
     """
+    for name, run in (("source", source), ("target", target)):
+        if not isinstance(run, RunState):
+            raise ParameterError(f"transfer.{name}", run, "a ngvisco.Simulation")
     old, new = source.rothe_step, target.rothe_step
     require_fit(source, target)
     points = QuadraturePoints(new.quadrature)

@@ -8,7 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ngvisco.errors import ParameterError, StepError, StopRequested, as_number, require_collection
+from ngvisco.errors import (
+    ParameterError,
+    StepError,
+    StopRequested,
+    as_number,
+    require_collection,
+    require_type,
+)
 from ngvisco.run.files import AnyPath
 from ngvisco.run.pictures import LABELS, PAGE, figure, save
 from ngvisco.run.simulation import Simulation
@@ -169,6 +176,7 @@ def fit(
         Folder in which the results and derivatives of finished runs are kept, so that the same call does not
         repeat them; a run that was interrupted begins anew.  Raises CheckpointError as ``gradient``.
     """
+    require_type("fit.simulation", simulation, Simulation)
     if simulation.number != 0:
         raise ParameterError("fit.simulation", f"a run at step {simulation.number}", "a run at its start")
     names = require_collection("by", by, 'names of parameters, e.g. ["material.G_e"]')

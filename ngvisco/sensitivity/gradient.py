@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from ngsolve import GridFunction
 
-from ngvisco.errors import ParameterError, UnknownNameError, require_collection
+from ngvisco.errors import ParameterError, UnknownNameError, require_collection, require_type
 from ngvisco.forms.projections import inverse_mass
 from ngvisco.physics.parameters import Parameter
 from ngvisco.run.files import AnyPath
@@ -183,6 +183,7 @@ def gradient(
     -------
     Gradient
     """
+    require_type("gradient.simulation", simulation, Simulation)
     if method not in METHODS:
         raise ParameterError("method", method, " or ".join(map(repr, METHODS)))
     if order not in OFFSETS:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ngvisco.errors import ParameterError, as_number, require_collection
+from ngvisco.errors import ParameterError, as_number, as_numbers, require_collection
 
 if TYPE_CHECKING:
     from ngvisco.sensitivity.columns import Columns
@@ -105,9 +105,11 @@ class Misfit:
         for name, value in self.data.items():
             if as_number(value) is None:
                 raise ParameterError(f"Misfit.data[{name!r}]", value, "a finite number")
-        deviations = np.broadcast_to(np.asarray(self.sigma, dtype=float), (len(self.data),))
-        if not (np.isfinite(deviations) & (deviations > 0)).all():
-            raise ParameterError("Misfit.sigma", self.sigma, "one number > 0, or as many as there are data")
+        expected = "one number > 0, or as many as there are data"
+        one = as_number(self.sigma)
+        deviations = [one] * len(self.data) if one else as_numbers("Misfit.sigma", self.sigma, expected)
+        if len(deviations) != len(self.data) or min(deviations) <= 0:
+            raise ParameterError("Misfit.sigma", self.sigma, expected)
 
     def residuals(self, values: np.ndarray) -> np.ndarray:
         """Differences of ``values`` from the data, in units of the standard deviations."""

@@ -178,7 +178,7 @@ def test_settings_override_keys_and_are_named_in_faults():
     for setting, message in (
         ("G_e", "expected key.path=value"),
         ("=3", "expected key.path=value"),
-        ("loads.7.g=1", "expected an index below 1"),
+        ("loads.7.g=1", "the command line's loads.7: expected an index below 1"),
         ("title.x=1", "is not a table"),
     ):
         with pytest.raises(CaseError, match=message):

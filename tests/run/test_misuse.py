@@ -63,8 +63,12 @@ function_field(PLANE, lambda x, y: x[:3]) | shape \(3,\)
 function_field(PLANE, lambda x, y: np.log(x - 2 * y + 0j).real / 0 * x) | finite
 function_field(PLANE, lambda x, y: x, order=9) | 0 to 6
 grid_field(PLANE, ([0, 1],), [1, 2]) | 2 axes
+grid_field(PLANE, 3, [1, 2]) | grid_field\.axes = 3: expected 2 axes
+grid_field(PLANE, ([0, 1], [0, "a"]), [[1, 2], [3, 4]]) | grid_field\.axes = .*finite numbers
+grid_field(PLANE, ([0, 1], [0, 1]), [["a", 2], [3, 4]]) | grid_field\.values = .*an array of numbers
+read_prony(1) | read_prony\.path = 1: expected a path
 grid_field(PLANE, ([0, 1], [0, 1]), [[1, 2]]) | increasing axes
-grid_field(PLANE, ([0, 1], [0, 0.5]), [[1, 2], [3, 4]]) | axes, y.*\[0, 0.5\].*\[0.0
+grid_field(PLANE, ([0, 1], [0, 0.5]), [[1, 2], [3, 4]]) | axes, y.*\[0.0, 0.5\].*\[0.0
 # tables and signals
 table([0, 1, 1], [1, 2, 3]) | times that increase
 table([0, 1], [1, 2, 3]) | one value or one row
@@ -79,6 +83,8 @@ pulse(inf, 1) | expected
 transfer(swirling(), swirling(box((2, 0.5), 0.4))) | is not in the old mesh
 transfer(swirling(), swirling(box((1, 0.5), 0.4))) | volume
 transfer(swirling(), swirling(passive=["F_tot"])) | F_tot.*the source carries too
+transfer(MODEL, swirling()) | transfer\.source = .*expected a ngvisco\.Simulation
+transfer(swirling(), MODEL) | transfer\.target = .*expected a ngvisco\.Simulation
 transfer(swirling(), small_run(material=LINEAR)) | the variables E.*the variables of the source, F, J
 refined(field="vorticity") | vorticity
 refined(above=1.5) | Refinement.above
@@ -104,6 +110,14 @@ observed(Integrals({"a": CF((1, 2))})) | scalar
 observed(Integrals({"a": "densty"})) | did you mean 'density'
 observed(Integrals({"time": "density"})) | expected another name than 'time'
 observed(Bodies()) | bodies
+Bodies(measures=3) | Bodies\.measures = 3: expected a sequence of names
+Bodies(measures=["gap", "gap"]) | Bodies\.measures = .*no name twice
+Contours("c", bodies=np.array("a")) | Contours\.bodies = array.*expected
+Checkpoints("a.h5", attributes=3) | Checkpoints\.attributes = 3: expected a mapping of names to names
+Progress(1.0, stream="log.txt") | Progress\.stream = 'log\.txt': expected an open text file, or None
+small_run().fields["velocty"] | unknown field 'velocty'; did you mean 'velocity'
+small_run().advance("a") | advance\.stop = 'a': expected a number > 0
+small_run().advance(0.0) | advance\.stop = 0\.0: expected a number > 0
 VTKSeries("vtk", fields=[]) | at least one name, and no name twice
 Probes({"p": (0.5, 0.5)}, fields=[]) | at least one name, and no name twice
 LineSamples((0, 0), (1, 1), fields=[]) | at least one name, and no name twice
@@ -113,7 +127,13 @@ Checkpoints(".") | Checkpoints\.path = .*expected the path of a file, but this p
 LedgerCSV(".") | LedgerCSV\.path = .*expected the path of a file, but this path is a directory
 Probes({"p": (0.5, 0.5)}, path=".") | \.path = .*expected the path of a file, but this path is a directory
 VTKSeries(FILE) | VTKSeries\.directory = .*expected a directory, but this path is a file
+record("out", small_run(), DT) | record\.simulation = 'out': expected a ngvisco\.Simulation
 record(small_run(), 5, DT) | record.directory
+gradient(MODEL, of=["kinetic at 0.1"], by=["material.G_e"], until=0.1) | gradient\.simulation = .*a ngvisco
+fit(MODEL, by=["material.G_e"], data={}) | fit\.simulation = .*expected a ngvisco\.Simulation
+Misfit({"kinetic at 0.1": 1.0}, sigma="1") | Misfit\.sigma = '1': expected one number > 0
+Misfit({"kinetic at 0.1": 1.0}, sigma=[1, 2]) | Misfit\.sigma = .*as many as there are data
+plot_energies(small_run(), "a.png") | plot_energies\.ledger = .*expected a ngvisco\.Ledger
 record(small_run(), "out", 0.0) | record.until
 record(small_run(), "out", nan) | record.until
 record(small_run(), "out", DT, show={"none in 2D": "velocity_3"}) | velocity_3
@@ -124,6 +144,7 @@ plot_fields(PLANE, [("T", NOT_POSITIVE)], "a.png") | 'T'.*a scalar
 small_run(loads=[Gravity(time)]) | ^loads\['gravity'\]\.g = <Parameter>: expected .* 2 components, not 1
 small_run(passive=("F_total",)) | F_tot
 small_run(terms=3) | Simulation\.terms
+small_run(terms=np.array(3)) | Simulation\.terms
 small_run(terms=[3]) | Simulation\.terms
 small_run(terms=[SimpleNamespace(form=print, entries=print, unknowns=print)])
   | derives from nv\.PointTerm, since the term has unknowns
@@ -142,6 +163,7 @@ small_run(material=NEO(elastic_state="B"), values={"B": NOT_POSITIVE}) | project
 PerReferentialVolume(material=LINEAR) | 'E' is none of these
 PerReferentialVolume(material=BarotropicFluid(B=1.0, gamma=2, form="A")) | 'A' is none of these
 PerReferentialVolume(material=Yosida(material=NEO(), eps=1.0)) | around this material
+Parameter("theta", typical="a") | Parameter\.typical = 'a': expected a finite number
 Parameter("theta", start=x * time) | Parameter.start = .*reads the time
 NEO(G_e=1 + time) | NeoHookean.G_e = .*without the time
 StokesViscosity(K_v=1.0, G_v=x + time) | StokesViscosity.G_v = .*without the time

@@ -11,7 +11,7 @@ import numpy as np
 from ngsolve import L2, CoefficientFunction, GridFunction, LinearForm, Mesh, VectorValued, x, y, z
 from ngsolve.comp import IntegrationRuleSpace, IntegrationRuleSpaceSurface
 
-from ngvisco.errors import ParameterError, require_type
+from ngvisco.errors import ParameterError, as_numbers, require_collection, require_type
 from ngvisco.forms.mesh.quadrature import Quadrature
 from ngvisco.forms.projections import inverse_mass
 
@@ -157,11 +157,14 @@ def grid_field(
     from scipy.interpolate import RegularGridInterpolator  # takes a fifth of the package's import time
 
     require_type("grid_field.mesh", mesh, Mesh)
-    array = np.asarray(values, dtype=float)
-    if len(axes) != mesh.dim:
+    array = np.asarray(values)
+    if array.dtype.kind not in "iuf":
+        raise ParameterError("grid_field.values", values, "an array of numbers")
+    if len(require_collection("grid_field.axes", axes, f"{mesh.dim} axes")) != mesh.dim:
         raise ParameterError("grid_field.axes", f"{len(axes)} axes", f"{mesh.dim} axes")
+    axes = [as_numbers("grid_field.axes", axis) for axis in axes]
     try:
-        interpolate = RegularGridInterpolator(tuple(axes), array, method=method)
+        interpolate = RegularGridInterpolator(tuple(axes), array.astype(float), method=method)
     except (TypeError, ValueError) as error:
         expected = f"increasing axes, each with as many values as the array has along this axis ({error})"
         raise ParameterError("grid_field.values", f"shape {array.shape}", expected) from error

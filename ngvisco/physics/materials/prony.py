@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ngvisco.errors import ParameterError, Quantity
+from ngvisco.errors import ParameterError, Quantity, require_file
 from ngvisco.physics.activation import WLF, Activated
 from ngvisco.physics.flow_rules import Creep, FlowRule
 from ngvisco.physics.material import Material
@@ -112,7 +112,7 @@ def read_prony(path: str | os.PathLike[str]) -> np.ndarray:
     """
     rows = []
     try:
-        with open(path, encoding="utf-8") as file:
+        with require_file("read_prony.path", path).open(encoding="utf-8") as file:
             for line in file:
                 cells = line.split("#")[0].replace(";", ",").split(",")
                 try:
