@@ -147,6 +147,21 @@ def test_keys_of_branches_are_explained():
     assert "tau_i" in reference.explain("material.prony")
 
 
+@pytest.mark.parametrize(
+    ("material", "G"),
+    [
+        (nv.LinearElastic(K_e=10.0, G_e=5.0), 5.0),
+        (nv.OldroydB(K_e=10.0, G_e=5.0), 10.0),
+        (nv.ReferentialMooneyRivlin(K_e=10.0, G_e=3.0, G_mr=1.0), 8.0),
+        (nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0), 10.0),
+    ],
+)
+def test_a_mode_relaxes_in_its_time_at_small_strains(material, G):
+    """Stresses 2 G e of small strains e, without a trace, relax by e' = -2 G e/G_m."""
+    (branch,) = nv.prony_network(material, prony=[[1.0, 3.0]], of="G_0").parts.values()
+    assert branch.creep.G_m / (2 * G) == pytest.approx(3.0, rel=1e-14)
+
+
 def test_shifts_by_temperature_are_those_of_their_formulas():
     chains = nv.OldroydB(K_e=10.0, G_e=5.0)
     shift = 10 ** (17.4 * 20 / (51.6 + 20))

@@ -3,7 +3,7 @@ takes."""
 
 import numpy as np
 import pytest
-from ngsolve import CF, VOL, Det, Integrate, x, y, z
+from ngsolve import CF, VOL, Det, GridFunction, Integrate, x, y, z
 
 import ngvisco as nv
 from ngvisco.forms.bounds import OF_CUT_OFF, SHARE, Bounds
@@ -111,6 +111,35 @@ def test_limiter_keeps_every_mean_and_restores_every_bound(name, m):
         assert (i - ranges[name].start) % space.ndof in dofs
     values = Sampler(step.mesh, step.quadrature).values(CF((step.now.rho, step.now.z_tensors["J"])))
     assert values.min() >= SHARE * 0.9
+
+
+def test_a_limited_density_is_no_less_than_its_share_of_the_mean():
+    """The scaling is the largest one that keeps the bound, to the accuracy of the bisection."""
+    step = step_of()
+    shaken(step)
+    sampler = Sampler(step.mesh, step.quadrature)
+    broken = np.unique(sampler.cells[sampler.values(step.now.rho) <= 0])
+    assert len(broken) and bounds_of(step).limit() > 0
+    volumes = np.array(Integrate(CF(1.0), step.mesh, element_wise=True))
+    rho, bound = sampler.values(step.now.rho), SHARE * means_of(step)["rho"][0] / volumes
+    least = np.array([rho[sampler.cells == cell].min() for cell in broken])
+    assert (least >= bound[broken] - 1e-14).all() and (least <= bound[broken] + 1e-6).all()
+
+
+def test_momentum_is_scaled_with_its_density():
+    """The momentum density of a constant velocity stays the limited density times this velocity."""
+    step = step_of()
+    shaken(step)
+    bounds, of_density = bounds_of(step), step.now.rho * CF((0.3, -0.2))
+    expected = GridFunction(step.momentum_old.space)
+    step.momentum_old.Interpolate(of_density)
+    before = step.momentum_old.vec.FV().NumPy().copy()
+    assert bounds.limit() > 0
+    bounds.limit_momentum()
+    expected.Interpolate(of_density)
+    found, wanted = (one.vec.FV().NumPy() for one in (step.momentum_old, expected))
+    assert found == pytest.approx(wanted, rel=1e-12, abs=1e-12)
+    assert np.abs(found - before).max() > 0.1
 
 
 @pytest.mark.parametrize("mesh", MESHES)
