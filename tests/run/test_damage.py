@@ -166,6 +166,19 @@ def test_damage_stays_or_heals_at_its_rate():
         assert (run.ledger.column("dissipation_damage")[1:] > 0).all() == (healing is not None)
 
 
+def test_damage_that_heals_to_zero_loses_its_surface_energy():
+    """The slope 3 G_c/(8 l) of AT1's surface energy holds d at 0; viscosity dissipates eta d^2/dt in a step,
+    and the rest of the surface energy is the scheme's."""
+    law = damaged(length=1.0, law="AT1", healing_viscosity=0.01)
+    model, initial = nv.Model(material=law), nv.Initial(values={"damage": 0.2})
+    run = Simulation(box((1, 1), maxh=0.9), model, dt=0.1, initial=initial, solver="coupled")
+    run.run(0.1)
+    assert np.abs(run.sampler.values(run.fields["damage"])).max() < 1e-14
+    surface, viscous = 3 / 8 * 0.1 * 0.2, 0.01 * 0.2**2 / 0.1
+    for name, expected in (("dissipation_damage", viscous / 0.1), ("bregman_damage", surface - viscous)):
+        assert run.ledger.column(name)[1] == pytest.approx(expected, rel=1e-9)
+
+
 CROSS = 0.2
 """l of the cracks that are stretched, m."""
 
