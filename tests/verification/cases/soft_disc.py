@@ -195,10 +195,10 @@ def _strain_of_passive_disc(sharp: bool) -> np.ndarray:
     setting: Unit box, lid at 1 m/s until 1 s and at -1 m/s until 2 s, viscosity 0.1 Pa s, density 0.01 kg/m3,
       K_e = 50 Pa; disc of radius 0.2 m at (0.5, 0.7) m with a shear modulus of 1e-8 Pa; 7 columns of 8 rows,
       velocities of order 3, midpoint rule, dt = 0.05 s; strains are tr X - 3 n over the disc's area.
-    - not sharp: strain at the turn off 0.803, over it <= 0.15: by points that are carried with the velocity
-    - not sharp: strain at the end over that at the turn <= 0.15: 0.11 in a trial; 0.32 with the part that
+    - not sharp: error of the strain at the turn, over it <= 0.15: it is 0.803 by points that the flow carries
+    - not sharp: strain at the end over that at the turn in [0.05, 0.15]: 0.11 in a trial; 0.32 with the part that
       sharp bodies take in cut cells
-    - outlines: strain at the turn off 0.803, over it <= 0.15: as above
+    - outlines: error of the strain at the turn, over it <= 0.15: as above
     - outlines: strain at the end over that at the turn in [0.3, 0.65]: an error, 0.56 in a trial; right is 0
     """)
 def _given_back() -> Measured:
@@ -206,7 +206,7 @@ def _given_back() -> Measured:
     for name, sharp in (("not sharp", False), ("outlines", True)):
         strains = _strain_of_passive_disc(sharp)
         turn, end = strains[3], strains[-1]
-        yield f"{name}: strain at the turn off {exact:g}, over it", abs(turn / exact - 1)
+        yield f"{name}: error of the strain at the turn, over it", abs(turn / exact - 1)
         yield f"{name}: strain at the end over that at the turn", end / turn
         rows.append(strains)
     carried = [0.117, 0.426, 0.695, 0.803, 0.697, 0.432, 0.124, 0.001]
