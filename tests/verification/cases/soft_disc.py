@@ -196,8 +196,8 @@ def _strain_of_passive_disc(sharp: bool) -> np.ndarray:
       K_e = 50 Pa; disc of radius 0.2 m at (0.5, 0.7) m with a shear modulus of 1e-8 Pa; 7 columns of 8 rows,
       velocities of order 3, midpoint rule, dt = 0.05 s; strains are tr X - 3 n over the disc's area.
     - not sharp: error of the strain at the turn, over it <= 0.15: it is 0.803 by points that the flow carries
-    - not sharp: strain at the end over that at the turn in [0.05, 0.15]: 0.11 in a trial; 0.32 with the part that
-      sharp bodies take in cut cells
+    - not sharp: strain at the end over that at the turn in [0.05, 0.15]: 0.11 in a trial; 0.32 with
+      the part that sharp bodies take in cut cells
     - outlines: error of the strain at the turn, over it <= 0.15: as above
     - outlines: strain at the end over that at the turn in [0.3, 0.65]: an error, 0.56 in a trial; right is 0
     """)
