@@ -24,6 +24,7 @@ COLUMNS = "tests/sensitivity/test_ledger_columns.py::"
 ADJOINT = "tests/sensitivity/test_adjoint.py::"
 BODIES = "tests/sensitivity/test_body_slopes.py::"
 WEAR = "tests/solver/test_wear.py::"
+LAWS = "tests/physics/test_material_laws.py::"
 LEVELS = "tests/solver/test_two_levels.py::"
 TABLES = "tests/run/test_body_tables.py::"
 GOING_ON = "tests/sensitivity/test_restart.py::test_an_interrupted_gradient_goes_on_as_if_it_had_not_been"
@@ -1026,6 +1027,72 @@ MUTANTS = [
             "c = self.slopes.rows.weights(stage.share * weights, stage.state)",
             "c = self.slopes.rows.weights(weights, stage.state)",
             ADJOINT + "test_the_power_of_a_moving_wall_has_a_derivative_by_its_velocity",
+        ),
+    ),
+    *_of(
+        "physics/materials/linearised.py",
+        (
+            "shear hardening",
+            "shear = 2 * self.G_h / self.s",
+            "shear = self.G_h / self.s",
+            LAWS + "test_hardening_has_the_documented_powers_of_strain",
+        ),
+        (
+            "bulk hardening",
+            "bulk = self.K_h / self.s",
+            "bulk = 2 * self.K_h / self.s",
+            LAWS + "test_hardening_has_the_documented_powers_of_strain",
+        ),
+    ),
+    *_of(
+        "physics/loads.py",
+        (
+            "exponent of central gravity",
+            "r ** (self.exponent - 1) * offset",
+            "r ** self.exponent * offset",
+            "tests/physics/test_loads.py",
+        ),
+    ),
+    *_of(
+        "physics/materials/damaged.py",
+        (
+            "what compression keeps",
+            "energy_at_rest / J, 1 - J",
+            "energy_at_rest / J, J - 1",
+            "tests/physics/test_damaged.py",
+        ),
+    ),
+    *_of(
+        "physics/materials/prony.py",
+        (
+            "modulus of Oldroyd-B for a series",
+            'return 2 * material.G_e, "conformation"',
+            'return material.G_e, "conformation"',
+            "tests/case/test_network_cases.py::test_a_mode_relaxes_in_its_time_at_small_strains",
+        ),
+    ),
+    *_of(
+        "forms/damage.py",
+        (
+            "numerical dissipation of damage",
+            "0.5 * delta @ (H @ delta) - minimum.slope",
+            "0.5 * delta @ (H @ delta) + minimum.slope",
+            "tests/run/test_damage.py::test_damage_that_heals_to_zero_loses_its_surface_energy",
+        ),
+    ),
+    *_of(
+        "forms/bounds.py",
+        (
+            "limited momentum",
+            "mean + self._share * (momentum - mean)",
+            "mean + (momentum - mean)",
+            "tests/forms/test_bounds.py::test_momentum_is_scaled_with_its_density",
+        ),
+        (
+            "scaling towards the mean",
+            "values[:, dofs] = centre + low[cells] * variation",
+            "values[:, dofs] = centre + high[cells] * variation",
+            "tests/forms/test_bounds.py::test_a_limited_density_is_no_less_than_its_share_of_the_mean",
         ),
     ),
 ]
