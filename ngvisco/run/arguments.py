@@ -1,19 +1,19 @@
 """Checks of the arguments of a ``Simulation``."""
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from ngvisco.errors import ParameterError, require_collection, require_names
 from ngvisco.forms.term import point_terms
 from ngvisco.physics.walls import Wall
 
-METHODS_OF_OBSERVERS = ("start", "step", "finish")
+_OF_OBSERVERS = ("start", "step", "finish")
 _OF_POINT_TERMS = ("unknowns", "projections", "impulses")
 
 
 def check_arguments(observers: Any, walls: Any, passive: Any, sources: Any, terms: Any) -> None:
-    for observer in require_collection("Simulation.observers", observers, "a sequence of observers"):
-        require_methods("observers", observer, METHODS_OF_OBSERVERS)
+    require_observers(require_collection("Simulation.observers", observers, "a sequence of observers"))
     require_names("Simulation.passive", passive)
     if walls is not None:
         _check_walls(walls)
@@ -25,6 +25,17 @@ def check_arguments(observers: Any, walls: Any, passive: Any, sources: Any, term
             has = " and ".join(names)
             expected = f"an object of a class that derives from nv.PointTerm, since the term has {has}"
             raise ParameterError("Simulation.terms", term, expected)
+
+
+def require_observers(observers: Sequence[Any]) -> None:
+    """Raise ParameterError for an object that is no observer, and for two observers that write one file."""
+    files: list[Path] = []
+    for observer in observers:
+        require_methods("observers", observer, _OF_OBSERVERS)
+        if isinstance(path := getattr(observer, "path", None), Path):
+            if path in files:
+                raise ParameterError("Simulation.observers", str(path), "a file of its own for each observer")
+            files.append(path)
 
 
 def require_methods(name: str, value: object, methods: Sequence[str], kind: str = "objects with") -> None:

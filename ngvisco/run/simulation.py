@@ -23,7 +23,7 @@ from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import distributed
 from ngvisco.parallel.petsc import require_petsc
 from ngvisco.physics.model import Model
-from ngvisco.run.arguments import METHODS_OF_OBSERVERS, check_arguments, require_methods
+from ngvisco.run.arguments import check_arguments, require_observers
 from ngvisco.run.failure import failure_report
 from ngvisco.run.files import AnyPath
 from ngvisco.run.interruption import Interruption
@@ -237,8 +237,7 @@ class Simulation(RunState):
         if end is None or end < self.t:
             raise ParameterError("until", until, f"a finite number >= {self.t:g}")
         until, stops = end, as_numbers("stops", stops, "a sequence of finite numbers, in s")
-        for observer in self.observers:
-            require_methods("observers", observer, METHODS_OF_OBSERVERS)
+        require_observers(self.observers)
         self.check_data(until)
         warn_of_corners(self.rothe_step, self._looked_at(until))
         for name, value in [("until", until), *(("stops", stop) for stop in stops)]:

@@ -110,6 +110,8 @@ observed(Integrals({"a": CF((1, 2))})) | scalar
 observed(Integrals({"a": "densty"})) | did you mean 'density'
 observed(Integrals({"time": "density"})) | expected another name than 'time'
 observed(Bodies()) | bodies
+small_run(observers=[LedgerCSV("a.csv"), Probes([(0, 0)], path="a.csv")])
+  | Simulation\.observers = 'a\.csv': expected a file of its own for each observer
 Bodies(measures=3) | Bodies\.measures = 3: expected a sequence of names
 Bodies(measures=["gap", "gap"]) | Bodies\.measures = .*no name twice
 Contours("c", bodies=np.array("a")) | Contours\.bodies = array.*expected
