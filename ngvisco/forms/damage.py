@@ -67,6 +67,8 @@ from ngvisco.forms.mesh.quadrature import Quadrature, values_of
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.term import PRODUCTION, Entry, Integrand
 from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.exchange import Exchange
+from ngvisco.parallel.gathered import Gathered
 from ngvisco.physics.body_energies import InEquilibrium
 from ngvisco.physics.material import conjugates, part_of
 from ngvisco.physics.materials.damaged import DAMAGE, WHOLE_F, Damaged
@@ -111,12 +113,12 @@ class Breaking(Protocol):
 class DamageGrowth:
     """Growth of the damages of a step's present state, of a material or of each body that breaks.
 
-    Raises ParameterError for fields that are not linear in a cell, cells that are not straight simplices,
-    several processes, or a regularisation that diffuses the material's variables.
+    Every rank solves the problem of all vertices.  Raises ParameterError for fields that are not linear in a
+    cell, cells that are not straight simplices, or a regularisation that diffuses the material's variables.
     """
 
     def __init__(self, step: Breaking) -> None:
-        self.step = step
+        self.step, self._ranks = step, Communicator.of(step.mesh)
         material = step.model.material
         law = part_of(material, Damaged)
         laws = {"": law} if law is not None else {}
@@ -128,6 +130,8 @@ class DamageGrowth:
         if step.layout.periodic:
             space = Periodic(space)
         self._delta = GridFunction(space)
+        self._all = Gathered(Exchange.of(space, self._ranks))
+        """Gathers delta's unknowns of all ranks."""
         rule = IntegrationRule([(*e,) for e in np.eye(mesh.dim + 1)[:, : mesh.dim]], [0.0] * (mesh.dim + 1))
         self._vertices = mesh.MapToAllElements({ET.TRIG if mesh.dim == 2 else ET.TET: rule}, VOL)
         self._delta.vec.FV().NumPy()[:] = np.arange(space.ndof)
@@ -135,7 +139,7 @@ class DamageGrowth:
         """Numbers of delta's unknowns at every vertex of every cell."""
         masses = LinearForm(space)
         masses += step.quadrature.cells(space.TestFunction())
-        self._masses = masses.Assemble().vec.FV().NumPy().copy()
+        self._masses = self._all.sum(masses.Assemble().vec.FV().NumPy().copy())
         self._part = GridFunction(step.layout.scalar_space("z"))
         self._held = HeldVolumes(step, material) if isinstance(material, Mixture) else None
         self.fields = [self._field(name, law) for name, law in laws.items()]
@@ -158,10 +162,6 @@ class DamageGrowth:
 
     def _check(self, laws: Mapping[str, Damaged]) -> None:
         step = self.step
-        ranks = Communicator.of(step.mesh)
-        if ranks.size > 1:
-            expected = f"a material without damage in a run by {ranks.size} processes"
-            raise ParameterError("Model.material", next(iter(laws.values())), expected)
         if step.discretisation.m != 1:
             expected = "1 with damage, since the bounds of damage are imposed at the vertices of cells"
             raise ParameterError("Discretisation.m", step.discretisation.m, expected)
@@ -175,7 +175,7 @@ class DamageGrowth:
         if regularisation is not None and regularisation.delta_fields:
             expected = "0 with damage, since delta_fields would diffuse the damage"
             raise ParameterError("Regularisation.delta_fields", regularisation.delta_fields, expected)
-        size = float(step.context.h.vec.FV().NumPy().min())
+        size = self._ranks.least(step.context.h.vec.FV().NumPy())
         length, body = min((law.length, name) for name, law in laws.items())
         if length < size:
             message = Words(
@@ -184,7 +184,7 @@ class DamageGrowth:
                 f"cell, {size:.3g} m. A crack is then one row of cells wide, and takes more energy per area "
                 "than G_c. Take cells whose size is at most half of this length",
             )
-            ranks.warn(message, InputWarning, stacklevel=6)
+            self._ranks.warn(message, InputWarning, stacklevel=6)
 
     def _field(self, body: str, law: Damaged) -> _GrowingField:
         """The damage of a body, or of the material ("")."""
@@ -208,9 +208,9 @@ class DamageGrowth:
     def start(self) -> None:
         """Make the present damages continuous, by the mean of each vertex' cells, and compute the slopes."""
         for field in self.fields:
-            values, dofs = self._at_vertices(field.damage), self._dofs
-            size = len(self._masses)
-            sums, counts = np.bincount(dofs, values, size), np.bincount(dofs, minlength=size)
+            values, dofs, size = self._at_vertices(field.damage), self._dofs, self._delta.space.ndof
+            parts = np.bincount(dofs, values, size), np.bincount(dofs, minlength=size).astype(float)
+            sums, counts = map(self._all.sum, parts)
             self._z()[field.rows] = 0.0
             self._add(field, np.clip(sums / np.maximum(counts, 1), 0.0, 1.0))
 
@@ -232,7 +232,8 @@ class DamageGrowth:
             rates[CRACKED] += cracked
         rates[DISSIPATION] = float(dissipated.sum()) / tau
         if self._heat is not None:
-            self._delta.vec.FV().NumPy()[:] = dissipated / np.where(self._masses > 0, self._masses, 1.0)
+            density = dissipated / np.where(self._masses > 0, self._masses, 1.0)
+            self._delta.vec.FV().NumPy()[:] = self._all.here(density)
             rates |= self._heat(self._delta, tau)
         if self._held is not None:
             distance += self._held.released()
@@ -243,7 +244,8 @@ class DamageGrowth:
         """Let one damage grow; return the dissipated energy by vertices, J, and the numerical dissipation, J,
         the largest growth at a point and the area of new cracks."""
         law = field.law
-        H, f = csr(field.hessian.Assemble().mat), field.force.Assemble().vec.FV().NumPy().copy()
+        H = self._all.matrix(csr(field.hessian.Assemble().mat))
+        f = self._all.sum(field.force.Assemble().vec.FV().NumPy().copy())
         low, high = self._bounds(field)
         healing = law.viscosity if law.healing_viscosity is None else law.healing_viscosity
         rising, falling = (self._masses * viscosity / tau for viscosity in (law.viscosity, healing))
@@ -260,11 +262,12 @@ class DamageGrowth:
         return dissipated, distance, float(delta.max()), (field.surface() - before) / law.G_c
 
     def _bounds(self, field: _GrowingField) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper bounds of delta at every vertex."""
-        values, dofs, size = self._at_vertices(field.damage), self._dofs, len(self._masses)
+        """Lower and upper bounds of delta at every vertex of all ranks."""
+        values, dofs, size = self._at_vertices(field.damage), self._dofs, self._delta.space.ndof
         low, high = np.full(size, -np.inf), np.full(size, np.inf)
         np.minimum.at(high, dofs, 1 - values)
         np.maximum.at(low, dofs, -values)
+        low, high = -self._all.least(-low), self._all.least(high)
         unused = ~np.isfinite(high)
         low[unused] = high[unused] = 0.0
         if field.law.healing_viscosity is None:
@@ -277,8 +280,8 @@ class DamageGrowth:
         return values.reshape(self.step.layout.states.size, -1)
 
     def _add(self, field: _GrowingField, delta: np.ndarray) -> None:
-        """Add delta and its slope to the present damage."""
-        self._delta.vec.FV().NumPy()[:] = delta
+        """Add delta, given at the vertices of all ranks, and its slope to the present damage."""
+        self._delta.vec.FV().NumPy()[:] = self._all.here(delta)
         z, slope = self._z(), field.along(grad(self._delta))
         values = (self._delta, *(slope[j] for j in range(self.step.mesh.dim)))
         for row, value in zip(field.rows, values, strict=True):
@@ -377,7 +380,7 @@ class _DamageHeat:
         """Add the heat ``xi``, J/m^3, to the present state; return power, W, and entropy, W/K, by columns."""
         state, ranges, unit = self.step.state.vec.FV().NumPy(), self.step.layout.ranges, self.entropy.unit
         s = state[ranges["z"]].reshape(self.step.layout.states.size, -1)[self._place]
-        before, of_cells = s.copy(), self.step.quadrature.each_cell
+        before, of_cells, ranks = s.copy(), self.step.quadrature.each_cell, Communicator.of(self.step.mesh)
         heat, energy = of_cells(xi), of_cells(self._heat)
         self._added.Set((1 / unit) * xi / self._theta)
         direction = GridFunction(self._added.space)
@@ -390,7 +393,9 @@ class _DamageHeat:
             missing = heat - (self.step.quadrature.each_cell(self._heat) - energy)
             slope = unit * self.step.quadrature.each_cell(self._theta * direction)
             share += np.where(heat > 0, missing / np.where(slope > 0, slope, 1.0), 0.0)
-            if abs(missing).sum() <= _ROUNDING * abs(energy).sum():
+            defect, size = ranks.totals(np.array([abs(missing).sum(), abs(energy).sum()]))
+            if defect <= _ROUNDING * size:
                 break
         produced = unit * self.step.quadrature.each_cell(self._added).sum()
-        return {_POWER: float(heat.sum()) / tau, _PRODUCTION: float(produced) / tau}
+        power, production = ranks.totals(np.array([heat.sum(), produced])) / tau
+        return {_POWER: float(power), _PRODUCTION: float(production)}

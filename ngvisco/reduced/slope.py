@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 
 import numpy as np
+from ngsolve import GridFunction
 
 from ngvisco.forms.mesh.points import CellPoints
 from ngvisco.forms.system import Step
@@ -46,6 +47,7 @@ class PointwiseSlope:
         """Groups of components; one derivative gives the columns of phi'' of all components in a group."""
         self._together += [[int(m)] for m in np.intersect1d(self._shared, curved)]
         self._frozen: tuple[np.ndarray, np.ndarray] | None = None
+        self._lagged_values: GridFunction | None = None
         self._kept: tuple[np.ndarray, np.ndarray, Response] | None = None
         self.response = step.tabulated_rates.response
         self._has_own_response = material.response(step.mesh.dim) is not None
@@ -139,9 +141,10 @@ class PointwiseSlope:
         assert lagged is not None
         values = lagged.vec.FV().NumPy()
         if self._frozen is None or not np.array_equal(self._frozen[0], values):
-            at_points = self.points.function(self.components)
-            at_points.Interpolate(lagged)
-            self._frozen = values.copy(), self.points.read(at_points, self.components).copy()
+            if self._lagged_values is None:  # once: all ranks have to make a function together
+                self._lagged_values = self.points.function(self.components)
+            self._lagged_values.Interpolate(lagged)
+            self._frozen = values.copy(), self.points.read(self._lagged_values, self.components).copy()
         return np.where(self.lagged, self._frozen[1], z_values)
 
     def _whole(self, z_values: np.ndarray) -> np.ndarray:

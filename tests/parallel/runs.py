@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 import own
 import walls
-from ngsolve import CoefficientFunction, IfPos, cos, pi, sin, x, y, z
+from ngsolve import CoefficientFunction, IfPos, cos, exp, pi, sin, x, y, z
 from own import NEO_HOOKEAN, SWIRL
 from walls import TWO_LEVELS
 
@@ -203,6 +203,30 @@ def apart(solver: str, dim: int = 2, outlines: bool = False) -> nv.Simulation:
     )
 
 
+def broken(solver: str) -> nv.Simulation:
+    """A body that breaks, in a fluid with another bulk modulus; periodic."""
+    rubber = nv.ReferentialNeoHookean(K_e=8.0, G_e=2.0)
+    law = nv.Damaged(material=rubber, G_c=0.1, length=0.6, viscosity=0.01, floor=1e-3)
+    parts = [
+        nv.Body(name="ball", where=nv.Ball((0.5, 0.5), 0.3), material=law, density=1.0, viscosity=VISCOSITY),
+        nv.Body(name="rest", material=FLUID, density=1.0, viscosity=VISCOSITY),
+    ]
+    seed = {"damage_ball": 0.3 * exp(-20 * ((x - 0.5) ** 2 + (y - 0.5) ** 2))}
+    mesh = structured_box((1, 1), (5, 4), periodic="x")
+    initial = nv.Initial(velocity=(1 + y, 0.0), values=seed)
+    return nv.Simulation(mesh, nv.Model(bodies=parts), dt=0.02, initial=initial, solver=solver)
+
+
+def cracked(solver: str) -> nv.Simulation:
+    """A material in space that breaks and heals, and is heated by the viscosity of its damage."""
+    rubber = nv.ReferentialNeoHookean(K_e=8.0, G_e=2.0)
+    law = nv.Damaged(material=rubber, G_c=0.1, length=0.9, viscosity=0.05, healing_viscosity=0.1, part="all")
+    model = nv.Model(material=nv.Thermal(material=law, c=2.0, theta_R=1.0), viscosity=VISCOSITY)
+    initial = nv.Initial(velocity=(*SWIRL, 0.0), values={"damage": 0.5 * x})
+    mesh = structured_box((1, 1, 1), (2, 2, 2))
+    return nv.Simulation(mesh, model, dt=0.02, initial=initial, solver=solver)
+
+
 def parameters(solver: str) -> nv.Simulation:
     """A transported modulus and a transported viscosity, which overshoot and are limited."""
     theta = nv.Parameter("theta", start=0.5 + 0.4 * sin(3 * x) * cos(2 * y))
@@ -349,6 +373,8 @@ OF_BOTH: dict[str, Callable[[str], nv.Simulation]] = {
         "Yosida": yosida,
         "bodies": bodies,
         "apart": apart,
+        "broken": broken,
+        "cracked": cracked,
         "heated": heated,
         "parameters": parameters,
         "block": block,

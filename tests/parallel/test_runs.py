@@ -86,8 +86,9 @@ GROUPS = {
     "split crystal; split bodies; split apart; split parameters; split heated; split Yosida; "
     "split, two levels; split, Newton-Krylov; split, all regularisations; split own tableau; "
     "split relaxation; split block; split turned; split slip disc, two levels; split window; split network; "
-    "split revolved; split solute",
+    "split revolved; split solute; split broken",
     "apart": "apart; split apart; split apart in space; split outlined",
+    "damage": "broken; split broken; split cracked",
     "networks and a solute": "network; split network; solute; split solute",
     "coupled": "carried; carried in space; Yosida; observed; parameters; heated; bodies; observed block; "
     "swirl; midpoint; sdirk2; adaptive; block; disc; lid; window; creep; limited",
@@ -108,6 +109,8 @@ GROUPS = {
 }
 ACTS = {
     **dict.fromkeys(("limited", "split crowded", "parameters", "split parameters"), "limited_cells"),
+    **dict.fromkeys(("broken", "split broken"), "dissipation_damage"),
+    "split cracked": "entropy_production_damage",
     **dict.fromkeys(("heated", "split heated"), "entropy_production_conduction"),
     **dict.fromkeys(("own term", "split own term"), "dissipation_drag"),
     **dict.fromkeys(("solute", "split solute"), "dissipation_diffusion_c"),
