@@ -23,6 +23,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import scipy.sparse as sp
 
+from ngvisco.algebra.memory import return_free_memory
 from ngvisco.algebra.sparse import apply, inverse_of_blocks, mass_matrix
 from ngvisco.forms.driving_stress import LinearisedTabulatedRates
 from ngvisco.forms.fields import Fields
@@ -255,6 +256,9 @@ class ReducedResidual:
         """
         c, hyper = self._derived(x)
         loads = self._loads(c if hyper is None else c | {"jump": hyper.jumps})
+        if self.programs.has_recorded and len(self.parts) > 1:
+            return_free_memory()  # recording has held all values at the points of a part
+        self.programs.has_recorded = False
         by_place = {
             name: {u: values for (at, u), values in loads.items() if at == name} for name in (CELLS, FACETS)
         }
