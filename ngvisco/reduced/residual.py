@@ -370,8 +370,7 @@ class ReducedResidual:
     def _derived_unknowns(self, of: Coefficients) -> dict[str, np.ndarray]:
         """Conjugates, traces and means from the coefficients of the iterated unknowns."""
         c = dict(of)
-        # fields are evaluated once for all equations if the mesh is one part, else anew for each equation:
-        # values at the points of several parts would not fit the cache
+        # fields of one part serve all equations; those of several parts would not fit the cache
         fields = self.parts[0].fields(c) if len(self.parts) == 1 else None
 
         def joined(name: str, loads: Callable[[CellPart, PartFields], np.ndarray]) -> np.ndarray:
