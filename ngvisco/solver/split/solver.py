@@ -157,6 +157,7 @@ class Split:
         f = self.solved(at, expected)
         for better in (lambda: not self.is_fresh, self.preconditioner.strengthen):
             if self.preconditioner.iterations >= options.flow_iterations and better():  # not solved
+                del f  # a renewal takes the most memory of a step
                 self.renew(problem, at)
                 f = self.solved(at, expected)
         self.wear.count(self.preconditioner.iterations)
@@ -165,6 +166,7 @@ class Split:
             self.wear.rate(size / last, was_fresh)
         self._stale = size > options.stale_above * last
         if not self.is_steep and self._is_worn(size) and size <= options.growth * last:
+            del f
             self.renew(problem, at)  # a residual costs more than the increment that is given up
             f = self.solved(at, expected)
             self.wear.count(self.preconditioner.iterations)
