@@ -122,7 +122,7 @@ class Study:
         self.directory = require_path("Study.directory", directory).resolve()
         self.table = self.directory / "sweep.csv"
         self.force = force
-        if RunDirectory(self.directory).case_file.exists():
+        if RunDirectory(self.directory).versions_file.exists():
             message = f"{self.directory}: this is a run directory; choose another directory for the study"
             raise SweepError(message)
         chosen = combinations(variations)
