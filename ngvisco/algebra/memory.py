@@ -30,12 +30,3 @@ def return_large_arrays() -> bool:
         return False
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
     return mallopt is not None and bool(mallopt(_MMAP_THRESHOLD, LARGE) and mallopt(_TRIM_THRESHOLD, KEPT))
-
-
-def return_free_memory() -> None:
-    """Return the free pages of the heap, also below arrays in use, to the operating system.
-
-    With C libraries other than GNU's the function changes nothing."""
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
-    if trim is not None:
-        trim(0)

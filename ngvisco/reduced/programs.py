@@ -31,8 +31,6 @@ class Programs:
         self._compared: set[Hashable] = set()
         """Names of functions of whose programs one had the bits of the function in a second step."""
         self._numbers: tuple[float, ...] = ()
-        self.has_recorded = False
-        """Whether a function was recorded; the reader sets this mark back."""
         self._runs, self._begun = False, set[Hashable]()
         """Whether programs evaluate functions now; and names of the programs of earlier steps."""
 
@@ -76,5 +74,4 @@ class Programs:
             self._others.add(name)
             return function(c)
         self._begun.discard(name)
-        self.has_recorded = True
         return results

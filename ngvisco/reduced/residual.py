@@ -23,7 +23,6 @@ from typing import Any, TypeAlias
 import numpy as np
 import scipy.sparse as sp
 
-from ngvisco.algebra.memory import return_free_memory
 from ngvisco.algebra.sparse import apply, inverse_of_blocks, mass_matrix
 from ngvisco.forms.driving_stress import LinearisedTabulatedRates
 from ngvisco.forms.fields import Fields
@@ -51,6 +50,9 @@ TOGETHER = 24_000
 
 RECORDED = 8_000
 """Largest number of points in cells for which programs keep the data of a step."""
+PROGRAMMED = 200_000
+"""Largest number of points in cells for which programs evaluate the terms: on larger meshes they save hardly
+any time, and with what recording leaves in memory they take 3 kB a tetrahedron."""
 
 
 @dataclass
@@ -237,7 +239,8 @@ class ReducedResidual:
         With ``records`` the caller says that all data stay as they are until the next call: on one process
         programs then evaluate the terms (``Programs``)."""
         # over ranks a function exchanges values, and no rank may evaluate it more often than another one
-        runs, context = records and not self.ranks.is_distributed and self.slope.is_local, self.step.context
+        is_large, context = self.op.points.count > PROGRAMMED, self.step.context
+        runs = records and not self.ranks.is_distributed and self.slope.is_local and not is_large
         self.programs.start(runs, context.tau.Get(), context.curvature.Get())
         self.cell_terms.context.sampled.start()
         self.carried_terms.context.sampled.start()
@@ -256,9 +259,6 @@ class ReducedResidual:
         """
         c, hyper = self._derived(x)
         loads = self._loads(c if hyper is None else c | {"jump": hyper.jumps})
-        if self.programs.has_recorded and len(self.parts) > 1:
-            return_free_memory()  # recording has held all values at the points of a part
-        self.programs.has_recorded = False
         by_place = {
             name: {u: values for (at, u), values in loads.items() if at == name} for name in (CELLS, FACETS)
         }
