@@ -28,14 +28,18 @@ def check_arguments(observers: Any, walls: Any, passive: Any, sources: Any, term
 
 
 def require_observers(observers: Sequence[Any]) -> None:
-    """Raise ParameterError for an object that is no observer, and for two observers that write one file."""
-    files: list[Path] = []
+    """Raise ParameterError for an object that is no observer, for an observer that is there twice, and for
+    two observers that write one file or one series of files."""
+    places = set[Any]()
     for observer in observers:
         require_methods("observers", observer, _OF_OBSERVERS)
-        if isinstance(path := getattr(observer, "path", None), Path):
-            if path in files:
-                raise ParameterError("Simulation.observers", str(path), "a file of its own for each observer")
-            files.append(path)
+        series = getattr(observer, "directory", None)  # two kinds of series may share a directory
+        path = getattr(observer, "path", None) or series
+        place = (Path(path).resolve(), series and type(observer)) if path else id(observer)
+        if place in places:
+            expected = "each observer once, and a file or a directory of its own for each"
+            raise ParameterError("Simulation.observers", str(path or observer), expected)
+        places.add(place)
 
 
 def require_methods(name: str, value: object, methods: Sequence[str], kind: str = "objects with") -> None:

@@ -111,7 +111,11 @@ observed(Integrals({"a": "densty"})) | did you mean 'density'
 observed(Integrals({"time": "density"})) | expected another name than 'time'
 observed(Bodies()) | bodies
 small_run(observers=[LedgerCSV("a.csv"), Probes([(0, 0)], path="a.csv")])
-  | Simulation\.observers = 'a\.csv': expected a file of its own for each observer
+  | Simulation\.observers = 'a\.csv': expected each observer once, and a file
+small_run(observers=[LedgerCSV("a.csv"), Probes([(0, 0)], path=Path("a.csv").resolve())])
+  | Simulation\.observers = .*expected each observer once
+small_run(observers=[VTKSeries("v"), VTKSeries("v")]) | Simulation\.observers = 'v': expected each observer
+small_run(observers=2 * [Probes([(0, 0)])]) | Simulation\.observers = .*expected each observer once
 Bodies(measures=3) | Bodies\.measures = 3: expected a sequence of names
 Bodies(measures=["gap", "gap"]) | Bodies\.measures = .*no name twice
 Contours("c", bodies=np.array("a")) | Contours\.bodies = array.*expected
