@@ -35,10 +35,11 @@ def anchors(text):
 
 @pytest.mark.parametrize("path", MARKDOWN, ids=name)
 def test_tables_have_equal_rows_and_a_blank_line_before(path):
-    """A table has a blank line before it, and as many cells in every line as in its head."""
+    """A table has a blank line before it, and as many cells in every line as in its head; also in a list."""
     text = re.sub(r"```.*?```", "", path.read_text(), flags=re.DOTALL)
     before, cells = "", 0
-    for line in text.splitlines():
+    for line in map(str.strip, text.splitlines()):
+        assert not re.search(r"[^|\s-].*\|-+\|", line), f"a table in one line: {line}"
         if line.startswith("|"):
             if not before.startswith("|"):
                 assert not before, f"no blank line before {line}"

@@ -33,6 +33,8 @@ class Table:
         if isinstance(self.columns, str):
             object.__setattr__(self, "columns", self.columns.split(" | "))
         rows = [[cell if isinstance(cell, str) else float(cell) for cell in row] for row in self.rows]
+        if any(len(row) != len(self.columns) for row in rows):
+            raise ValueError(f"{self.title}: expected {len(self.columns)} cells in each row")
         object.__setattr__(self, "rows", rows)
 
     def drawn(

@@ -83,7 +83,7 @@ def _bar() -> Measured:
         max(abs(row[5]) for row in rows),
     )
     yield f"change of the momentum from 3 s to 5 s, {of_sound}", max(abs(row[6]) for row in rows)
-    heads = "by | scheme | solver | | at 5 s | without what is carried | from 3 s"
+    heads = "by | scheme | solver | space | at 5 s | without what is carried | from 3 s"
     yield Table(f"momentum, {of_sound}", heads, rows)
 
 
