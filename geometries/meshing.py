@@ -52,7 +52,7 @@ _SIZES = (1e-30, 1e30)  # m; areas and volumes then stay far from under- and ove
 _ORDER_ONE = (1e-2, 1e2)
 _SLENDER = 1e-6  # least ratio of smallest to largest length; OpenCASCADE refuses ratios below 1e-7
 _DELICATE = 1e-3  # ratio of lengths below which Netgen is tried in a separate process
-_PATIENCE = 300.0  # most seconds of this trial
+_PATIENCE = 300.0  # time limit of this trial, s
 _CELLS_PER, _GRADING = {2: 1 / 0.43, 3: 5.9}, 0.3
 """Measured numbers of cells of size 1 in a unit square and cube, and growth of sizes per distance to a
 wall."""
@@ -167,14 +167,14 @@ class Domain:
                 wall.maxh = local
         if self.is_delicate:
             try_shape(owner, shape, dim, size)
-        try:  # by one thread: with more, Netgen's threads wait a second for a mesh of twelve cells
+        try:  # one thread: with more threads, Netgen waits a second for a mesh of twelve cells
             mesh = Mesh(OCCGeometry(shape, dim=dim).GenerateMesh(maxh=size, parallel_meshing=False))
         except Exception as error:  # OpenCASCADE and Netgen have many error types
             raise MeshError(f"{owner}: Netgen cannot mesh the shape ({error})") from error
         _require_all(owner, shape, mesh, known, self.is_round)
         if unit != 1.0:
             mesh.ngmesh.Scale(unit)
-            # the geometry serves refinement and curving; plane walls need none
+            # refinement and curving need the geometry; plane walls do not
             scaled = shape.Scale(Pnt(0, 0, 0), unit)
             mesh.ngmesh.SetGeometry(OCCGeometry(scaled, dim=dim) if self.is_round else NetgenGeometry())
             mesh = Mesh(mesh.ngmesh)
@@ -191,7 +191,7 @@ def _check_count(field: str, value: float, measure: float, h: float, dim: int, n
     # cell sizes grow with the distance s to a wall: int measure c / (h + 0.3 s)^dim ds
     factor = _CELLS_PER[dim] * measure / (1.0 if n == dim else _GRADING * (dim - 1))
     if not factor <= MAX_CELLS * h**n:
-        least = 1.06 * (factor / MAX_CELLS) ** (1 / n) * unit  # two digits are then not less than needed
+        least = 1.06 * (factor / MAX_CELLS) ** (1 / n) * unit  # rounded up, so that two digits suffice
         count = math.exp(min(math.log(factor) - n * math.log(h), 700))
         raise ParameterError(
             field, value, f"at least {least:.2g} m, since the given size makes about {count:.0e} cells"

@@ -101,7 +101,7 @@ except importlib.metadata.PackageNotFoundError:  # a clone without installation
     __version__ = "0+unknown"
 
 
-if importlib.util.find_spec("ngvisco.geometries") is None:  # in a clone it lies beside ngvisco/
+if importlib.util.find_spec("ngvisco.geometries") is None:  # in a clone, geometries/ lies beside ngvisco/
     __path__.append(str(Path(__file__).resolve().parents[1]))  # noqa: F405
 print_own()
 

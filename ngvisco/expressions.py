@@ -122,7 +122,7 @@ def syntax_tree(text: str) -> ast.expr:
     except SyntaxError as error:
         position = lead + max(0, (error.offset or 1) - 1)
         raise ExpressionError(text, min(position, len(text)), "the text is not an expression") from None
-    except (ValueError, MemoryError, RecursionError):  # excessive nesting or number
+    except (ValueError, MemoryError, RecursionError):  # too deep nesting, or too large a number
         raise ExpressionError(text, 0, "the expression is too deeply nested") from None
     for node in ast.walk(tree):
         if hasattr(node, "col_offset"):
@@ -154,7 +154,7 @@ def _operations(node: ast.AST) -> float:
     inner = sum(_operations(child) for child in ast.iter_child_nodes(node))
     uses = 1
     if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-        inner -= 1  # does not count the function's name
+        inner -= 1  # the function's name does not count
         uses = _USES.get(node.func.id, 1)
     elif isinstance(node, ast.BinOp) and isinstance(node.op, ast.Pow):
         uses = _factors(node.right)
@@ -367,7 +367,7 @@ def is_tensor(value: Any) -> bool:
 
 
 def _power(a: Evaluated, b: Evaluated) -> Evaluated:
-    is_array = not isinstance(a, (float, CoefficientFunction))  # arrays define powers
+    is_array = not isinstance(a, (float, CoefficientFunction))  # arrays have powers of their own
     if is_array or (isinstance(a, float) and isinstance(b, float)):
         return a**b
     if isinstance(b, float) and b.is_integer() and abs(b) <= _LARGEST_WHOLE_POWER:

@@ -20,7 +20,7 @@ from pyngcore import GetNumThreads, SetNumThreads, SuspendTaskManager
 from threadpoolctl import ThreadpoolController
 
 _controller: list[ThreadpoolController] = []
-_managers: list[TaskManager] = []  # our task manager, while its workers run
+_managers: list[TaskManager] = []  # the package's task manager, while its workers run
 
 
 @contextmanager
@@ -29,7 +29,7 @@ def computing() -> Iterator[None]:
     if not _controller:  # made here, after NGSolve and NumPy have loaded their libraries
         _controller.append(ThreadpoolController())
     with _controller[0].limit(limits=1, user_api="blas"):
-        if _managers or GetNumThreads() > 1:  # ours or the caller's task manager runs
+        if _managers or GetNumThreads() > 1:  # the task manager of the package or of the caller runs
             yield
             return
         manager = TaskManager()

@@ -161,7 +161,7 @@ class Case:
         """The mesh of the domain; raises CaseError."""
         domain: Any = self.sections.domain
         with self.locator.located("domain"):
-            mesh: Mesh = type(domain).target(**parameters(domain))  # a new one, since runs refine it
+            mesh: Mesh = type(domain).target(**parameters(domain))  # a new mesh, since runs refine their mesh
             return mesh
 
     def model(self, dim: int) -> Model:
@@ -264,7 +264,7 @@ def _settle_state(values: dict[str, Any], material: Any) -> None:
         while not hasattr(material, "elastic_state"):  # a wrapper, such as heat, or a Prony series
             material = next(iter(branches.values()), material).material
         values["elastic_state"] = material.elastic_state
-    if values.get("material") is not None:  # a gas has none
+    if values.get("material") is not None:  # a gas has no inner material
         _settle_state(values["material"], material)
     for name, branch in (values.get("branches") or {}).items():
         _settle_state(branch["material"], branches[name].material)

@@ -21,7 +21,7 @@ MAX_FILE_SIZE = 1_000_000
 def text_of(path: Path) -> str:
     """The text of a case file; raises CaseError."""
     locator = Locator({}, source=str(path))
-    if path.exists() and not (path.is_file() or path.is_dir()):  # reading a pipe would wait
+    if path.exists() and not (path.is_file() or path.is_dir()):  # reading from a pipe would wait for a writer
         raise locator.error((), "this is a pipe or a device; expected a file")
     try:
         with path.open("rb") as file:

@@ -107,7 +107,7 @@ def _walk(models: Sequence[type[Section]], path: tuple[str, ...]) -> Iterator[Ke
         yield KeyEntry((*path, tag), (), kinds, "", required, default, "Kind of the table", names[0])
     for model in models:
         keys = [(name, field) for name, field in model.model_fields.items() if name not in TAGS]
-        # tables come last
+        # tables come after plain keys
         for name, field in sorted(keys, key=lambda key: bool(models_in(key[1].annotation))):
             inner, annotation = models_in(field.annotation), quantity(model, name)
             default = None if inner or field.is_required() else field.default

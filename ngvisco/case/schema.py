@@ -297,7 +297,7 @@ class CaseSections(Section):
         require_names_and_one_rest(self.bodies)
         if (interval := self.output.vtk.interval) is not None:
             if self.time.until / interval > _MAX_OUTPUT_TIMES:
-                least = 1.06 * self.time.until / _MAX_OUTPUT_TIMES  # not less than needed in two digits
+                least = 1.06 * self.time.until / _MAX_OUTPUT_TIMES  # rounded up in two digits
                 expected = (
                     f"at least {least:.2g} s, so that there are at most {_MAX_OUTPUT_TIMES} output times"
                 )

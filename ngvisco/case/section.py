@@ -174,7 +174,8 @@ def section(
         fields[name] = (annotation, default)
     model = create_model(tag[1] if tag else target.__name__, __base__=base, **fields)
     model.target = staticmethod(target)
-    # of the functions only those that make materials are called, since meshes take long; files are read later
+    # an object of a class is made while the case is checked. Of the functions, only those that make materials
+    # are called, because meshes take long, and files are read later
     returned = hints.get("return")
     is_material = isinstance(returned, type) and issubclass(returned, MaterialObject)
     model.is_made_at_once = is_whole and "path" not in fields and (is_class or is_material)

@@ -133,7 +133,7 @@ class Converter:
                 continue
             except UnitError as error:
                 key = error.key or name  # an exponent of the unit may be at fault
-                if key == name or not isinstance(data.get(key), (list, dict)):  # the schema refuses others
+                if key == name or not isinstance(data.get(key), (list, dict)):  # else refused by the schema
                     result[key] = Wrong(f"{shown(data[key]) if key in data else 'is missing'}: {error}")
                 continue
             if in_si is not value and in_si != value:
@@ -203,7 +203,7 @@ class Converter:
                 raise UnitError("a pure number is expected, without a unit")
             return converted(float(match[1]), match[2].strip(), unit)
         if isinstance(value, bool) or not isinstance(value, (int, float)):
-            return value  # the schema refuses it
+            return value  # the schema refuses the value
         return value if scale == 1.0 else value * scale
 
     def _scale(self, unit: str) -> float:

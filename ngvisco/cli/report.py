@@ -66,7 +66,7 @@ def check(options: argparse.Namespace) -> int:
             f"time       adaptive steps to t = {case.until:g} s, the first {run.dt:g} s long; the least "
             f"number of steps is {least}, if all have the length dt_max = {adaptive.dt_max:g} s"
         )
-    sys.stdout.flush()  # show these lines now: a hard step takes minutes
+    sys.stdout.flush()  # shown now, because a hard step takes minutes
     before = options.imports + clock.perf_counter() - began
     start = scales(run)
     try:

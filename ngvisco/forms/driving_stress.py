@@ -107,7 +107,7 @@ class LinearisationStress:
             with np.errstate(all="ignore"):
                 strain = self._softness * _rates(rules, M)
                 share = np.linalg.norm(M, axis=2) / np.linalg.norm(strain, axis=2)
-            # bounds the rate: end states, as of the midpoint rule, can violate flow rules
+            # bounds the rate: the end of a midpoint step can violate the flow rule
             self._last = np.nan_to_num(np.minimum(share, 1.0)[..., None] * strain / self._softness)
 
     def start(self) -> None:

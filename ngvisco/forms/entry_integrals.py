@@ -24,7 +24,7 @@ class EntryIntegrals:
         ):
             parts = {name: part for name, part in of_entries.items() if part is not None}
             if parts:
-                together = CF((*parts.values(), 0.0, 0.0)).Compile()  # a vector, also for one integrand
+                together = CF((*parts.values(), 0.0, 0.0)).Compile()  # a vector even for one integrand
                 self._in_cells.append((list(parts), together, integrate))
         facets = {name: e.integrand.facets for name, e in entries.items() if e.integrand.facets is not None}
         self._facets = {name: integrand.Compile() for name, integrand in facets.items()}

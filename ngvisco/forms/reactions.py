@@ -66,7 +66,7 @@ class WallReactions:
             interpolate(interpolated, motion)
             self._tests.append(interpolated.vec.FV().NumPy().copy())
         self._weights = self._shares()
-        # the integral is added on walls that nothing crosses; the residual has it on all other walls
+        # added on walls that nothing crosses: the residual has this integral on all other walls
         free = step.layout.velocity_space((None,) * step.mesh.dim)
         self._closed = facet_indicator(step.mesh, [name for name in walls if name not in step.walls.crossed])
         normal_test = free.TestFunction() * step.context.normal

@@ -162,7 +162,7 @@ class Sharpening:
         count, is_apart = len(self._amounts), np.zeros(len(self._mass), dtype=bool)
         heights = -np.einsum("kond,kod->kon", tau * self._velocity[:, self._on], self._slopes)
         strips = np.maximum(heights, 0.0)
-        is_passed = strips.max(axis=(1, 2), initial=0.0) >= 1  # strips began in cells farther away
+        is_passed = strips.max(axis=(1, 2), initial=0.0) >= 1  # strips reach beyond the cell
         pairs = {
             (i, j): ~is_passed & self._is_pair(self._start, i, j) & self._is_pair(u, i, j)
             for i, j in combinations(range(count), 2)

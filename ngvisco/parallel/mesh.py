@@ -104,7 +104,7 @@ def volume_and_surface(mesh: Mesh) -> list[float]:
     The surface is summed over all cells, with inner facets twice, because a part also contains identified
     boundaries whose cells belong to other ranks.
     """
-    integrals = (CF(1.0) * dx, CF(1.0) * dx(element_boundary=True))  # over this rank's cells alone
+    integrals = (CF(1.0) * dx, CF(1.0) * dx(element_boundary=True))  # sums over this rank's cells alone
     return [float(mesh.comm.Sum(Integrate(integral, mesh))) for integral in integrals]
 
 

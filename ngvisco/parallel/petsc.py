@@ -150,7 +150,7 @@ class SumInverse:
         with self.communicator.together(SingularError):
             if self.communicator.is_idle:
                 return
-            self.forget()  # first: two factorisations at once would take the most memory of a run
+            self.forget()  # freed first: two factorisations at once would be the peak of a run's memory
             matrix, failure = self._matrix(0.5 * (local + local.T) if self.symmetric else local), None
             if self._solving is not None:
                 failure = self._set_up(matrix)

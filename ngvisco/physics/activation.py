@@ -159,7 +159,7 @@ class WLF(_Faster):
     def factor(self, z: Values) -> Any:
         """1/a_T."""
         theta = z[TEMPERATURE] if self.temperature is None else value_at(self.temperature, z)
-        least = 1e-2 * self.C_2  # at this temperature the shift is a hundred times C_1 decades
+        least = 1e-2 * self.C_2  # this temperature gives a shift of 100 C_1 decades
         above = theta + (self.C_2 - self.theta_R)
         if isinstance(above, (int, float)):
             above = max(above, least)

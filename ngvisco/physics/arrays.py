@@ -183,7 +183,7 @@ class Array(_Node):
     def __pow__(self, exponent: float) -> Array:
         if not self.is_scalar or not isinstance(exponent, (int, float)):
             raise TypeError("a power needs a scalar as base and a number as exponent")
-        if exponent < 1:  # at zero a power with this exponent has a value, but no derivative
+        if exponent < 1:  # at zero, a power with this exponent has no derivative
             value = self.value ** float(exponent)
             return Array(value, [(self, lambda g: exponent * self.value ** float(exponent - 1) * g)])
         lower = self.value ** float(exponent - 1)

@@ -143,7 +143,7 @@ def _choices(function: CoefficientFunction) -> Iterator[CoefficientFunction]:
 def may_read_time(function: CoefficientFunction) -> bool:
     """Whether a function contains a parameter of NGSolve, such as the run's time."""
     text = str(function)
-    return "ParameterCoefficientFunction" in text or "ParameterCF" in text  # 2*t, for example
+    return "ParameterCoefficientFunction" in text or "ParameterCF" in text  # an expression such as 2*t
 
 
 def _checked(name: str, rows: np.ndarray) -> np.ndarray:

@@ -60,10 +60,10 @@ class Evaluation:
     """The residual at one set of iterated unknowns, and the quantities that it was computed from."""
 
     x: np.ndarray  # the iterated unknowns, packed
-    coefficients: dict[str, np.ndarray]  # of iterated and derived unknowns, (components, functions)
+    coefficients: dict[str, np.ndarray]  # of all unknowns, (components, functions)
     hyper: HyperValues | None
     residual: np.ndarray  # the rows, packed like the unknowns
-    terms: tuple[CellTerms, FacetTerms]  # their ``fields`` evaluate unknowns at points
+    terms: tuple[CellTerms, FacetTerms]  # the terms' ``fields`` evaluate unknowns at points
 
     @property
     def cells(self) -> Fields:

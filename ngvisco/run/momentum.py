@@ -185,13 +185,13 @@ class Momentum:
         defect = self._array(row, "momentum") - self._totals.last - sum(impulses, np.zeros(len(self.motions)))
         row |= dict(zip(self._names(DEFECT), map(float, defect), strict=True))
         totals = self._added(row | {"stored": values["stored"], "dt": tau})
-        # in a direction without a load, impulses in other directions leave rounding; so do the reactions of
-        # walls to a body that is clamped under stress, although the sum of the reactions vanishes
+        # in a direction without a load, rounding of impulses in other directions remains, and rounding of the
+        # reactions of walls to a body that is clamped under stress, although these reactions add up to zero
         rounding = _ROUNDING * ((totals.exchanged / self._reach).max(initial=0.0) + totals.stressed)
         moving = totals.moving + values["mass"] * self._velocity() + rounding
-        # if the matter fills the domain, a defect larger than the whole momentum of the matter does not move
-        # the matter: the walls bear the defect, as they bear the stress. A body within other matter may move
-        # nevertheless, against viscosity
+        # if the matter fills the domain, a defect larger than the matter's whole momentum does not move the
+        # matter: the walls bear the defect, as they bear the stress. A body within other matter may be moved
+        # by such a defect, against viscosity
         is_borne = self._is_alone & (abs(totals.defect) > self._reach * moving)
         borne = np.where(is_borne, self._reach * totals.stressed, 0.0)
         scale = self._reach * moving + totals.exchanged + borne

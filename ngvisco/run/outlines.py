@@ -82,7 +82,7 @@ class Cut:
         """The outline as polylines, (points, columns) each; a closed line ends with its first point."""
         after = {int(start): i for i, start in enumerate(self.edges[:, 0])}
         reached = set(map(int, self.edges[:, 1]))
-        # open lines come first
+        # open lines come before closed lines
         begun = [i for i, start in enumerate(self.edges[:, 0]) if int(start) not in reached]
         left, lines = dict.fromkeys(range(len(self.edges))), []
         for start in (*begun, *range(len(self.edges))):

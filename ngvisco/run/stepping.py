@@ -225,7 +225,7 @@ class FixedStepper:
     """
 
     def __init__(self, dt: float, halvings: int = HALVINGS) -> None:
-        # number of the shortest parts of a step
+        # largest number of parts of a step
         self.dt, self.halvings, self._parts = dt, halvings, 1 << halvings
         self.longest = dt
         self.begin(0.0, 0)
@@ -357,7 +357,7 @@ class AdaptiveStepper:
             try:
                 step = integrator.advance(t, tau, run.number, meets=new_time == stop)
             except StepError as failure:
-                reason = str(failure.__cause__ or failure)  # without the step
+                reason = str(failure.__cause__ or failure)  # the message without the step
                 history, shorter = failure.history, tau / 2
                 if shorter < self.options.dt_min:
                     try:

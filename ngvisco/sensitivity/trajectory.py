@@ -165,7 +165,7 @@ class Trajectory:
             if path.exists():
                 self._take_up(path)
             checkpoints = [Checkpoints(path, every=_EVERY, keep=1)]
-        self.require_going_on()  # the run would forget an earlier request
+        self.require_going_on()  # the run would forget that a stop was requested
         self._clock = clock.process_time() - self.seconds
         run.integrator.carried.append(self)
         run.observers += checkpoints

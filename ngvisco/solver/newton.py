@@ -229,7 +229,7 @@ class Newton:
                 u.data = self._base
                 if self.stresses:
                     self.stresses.undo()
-                if self.growths() != growths:  # the equations stay changed although the iterate is given up
+                if self.growths() != growths:  # the equations have changed for good
                     self.update()
                     self.form.Apply(u, self._residual)
                     fresh, renewed, damping = True, True, 1.0

@@ -191,7 +191,7 @@ class RotheSolver:
                     reason = failed[-1].reason  # the last attempts may be shorter steps that were solved
                     notes = dict.fromkeys(note for note in self._met if note not in reason)
                     raise StepError("; ".join([reason, *notes]), attempts)
-        except BaseException:  # an interrupt, too, must not leave an iterate behind
+        except BaseException:  # also after an interrupt, no iterate may remain
             self.return_to(self.start)
             raise
         self.extrapolation.keep(interval.end)

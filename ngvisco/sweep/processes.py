@@ -113,7 +113,7 @@ def run_or_resume(case: str, directory: str, threads: int, stop: str) -> tuple[i
         text=True,
         errors="backslashreplace",
         env=os.environ | {"NGVISCO_THREADS": str(threads)},
-        start_new_session=True,  # Ctrl-C must reach the study alone, which lets steps end
+        start_new_session=True,  # Ctrl-C must reach the study alone: the study lets steps end
     )
     os.close(read)
     _running.add(process)

@@ -166,7 +166,7 @@ class Integrator:
                 if not math.isfinite(value):
                     raise StepError(f"{name} of the step is {value}; take a smaller step or a finer mesh")
             return replace(result, unsolved=sum(getattr(field, "unsolved", 0) for field in self.carried))
-        except BaseException as error:  # an interrupt, too, must not leave half a step behind
+        except BaseException as error:  # also after an interrupt, no half step may remain
             self.undo()
             if isinstance(error, StepError):
                 message = f"step of length {tau:g} s from t = {t:g} s: {error}"

@@ -46,7 +46,7 @@ SYMMETRIC_DEGREE = 6
 """Highest degree at which NGSolve's rules of triangles have all symmetries of the triangle.  The two sides of
 a face number its vertices differently: with a less symmetric rule they would have different points, and the
 flux out of one cell would not be the flux into the other."""
-_FACET_BASE_ORDER = 5  # order that NGSolve's Integrate takes on element boundaries without a bonus
+_FACET_BASE_ORDER = 5  # default order of NGSolve's Integrate on element boundaries
 
 
 @dataclass(frozen=True)
@@ -172,7 +172,7 @@ class Quadrature:
         order = self.facet_degree - _FACET_BASE_ORDER
         over = dx(element_boundary=True, bonus_intorder=order, definedonelements=cells)
         total = self._on_facets(integrand) * over
-        # NGSolve sums integrals of coefficient functions over the ranks, but not this kind of integral
+        # NGSolve sums other integrals over the ranks, but not this kind
         return float(self.mesh.comm.Sum(Integrate(total, self.mesh)))
 
 

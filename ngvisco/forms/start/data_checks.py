@@ -60,7 +60,7 @@ from ngvisco.physics.walls import PrescribedNormal, Traction
 from ngvisco.words import Mention, Words, call
 
 _FLAT = 1e-12  # largest |a.n|^2/|a|^2 of a tangential vector a; normals of axis-parallel walls are exact
-_ROUNDING = 1e-20  # over the mean of |a|^2 in the domain; sin(pi x) at x = 1 is 1e-16
+_ROUNDING = 1e-20  # relative to the mean of |a|^2 in the domain; sin(pi x) at x = 1 is 1e-16
 _MATCH = 1e-8
 _DEGREE = 6  # degree of the rule whose points on walls are checked
 _STIFFER = 10.0

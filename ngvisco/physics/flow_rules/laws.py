@@ -82,7 +82,7 @@ class Creep(_Driven):
 
     def __post_init__(self) -> None:
         if isinstance(self.G_m, float) and self.G_m == math.inf:
-            replace(self, G_m=1.0)  # checks the other parameters
+            replace(self, G_m=1.0)  # the base class checks the other parameters
         else:
             super().__post_init__()
 

@@ -115,7 +115,7 @@ class FlowSchurComplement:
         to_fields = np.matmul(z_tests, right.reshape(cells, per, n * d * local))
         to_fields = to_fields.reshape(cells, q * n, d, local)
         if self.has_interfaces:
-            # other jumps are small, and far from the solution the sides that matter enters change
+            # jumps within one body are small, and their upstream sides change far from the solution
             through = self._through_sides(fine, at)
             to_fields[..., : through.shape[3]] += through  # functions inside the cell come last
         self.to_fields[where] = to_fields.reshape(cells, q * n, d * local)
@@ -200,7 +200,7 @@ class FlowSchurComplement:
             result[: self.nv] += self._with_fields(dv).ravel()
             return result
         x, hyper = np.concatenate([dv, flow[self.size :].reshape(self.dim, -1)], axis=1), self.derivative
-        # the fields' response sums over ranks, which only this thread may do: it calls the first function
+        # only this thread may sum over ranks; it calls the first function, the fields' response with its sums
         rows, of_x = self.residual.at_once(lambda: self._with_fields(dv), lambda: hyper(x))
         rows += of_x[:, : dv.shape[1]]
         result[: self.nv] += rows.ravel()

@@ -292,7 +292,7 @@ class Preconditioner:
         scale = np.ones_like(start)
         for where, length in zip(self._blocks, self._lengths, strict=True):
             scale[where] = self.exchange.norm(start, where) / np.sqrt(length) or 1.0
-        # single precision cannot keep directions orthogonal at the tolerances of a linear map
+        # at small tolerances, as for a linear problem, directions in single precision are not orthogonal
         kind = precision.SINGLE if tolerance > _LINEAR else np.float64
         y, self.iterations = gmres(
             lambda y: self._block(self._applied(scale * y)) / scale,
