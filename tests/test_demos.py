@@ -232,8 +232,8 @@ def test_gel_rings_down_by_its_loss_factor():
 @pytest.mark.long
 @pytest.mark.ci
 def test_glacier_flows_by_its_closed_form():
-    """The cells are of 0.2 m; half of the linear law's profile, which has the same velocity at the top, does
-    not agree."""
+    """The cells have 0.2 m. A control, half of the linear law's profile, has the same velocity at the top and
+    does not agree."""
     demo, at = load("glacier"), np.linspace(0, 1, 21)
     run = demo.simulation(maxh=0.2, dt=0.4)
     ledger = run.run(12.0)

@@ -5,10 +5,10 @@ smallest step and velocities of degree 3; for the ball, against the closed form.
 distance of the centroid, over the length of its path, from the path by another method on 128 x 128 cells
 (``tests/verification/immersed.py``), which has rows for coarser grids too.  The other problems have rows of
 Lagrangian elements of degree 2 by the midpoint rule (``tests/verification/lagrangian_solid.py``).  Seconds
-are processor time of one thread without the set-up.  The column "relative" has them as multiples of the run
-``UNIT``, which is taken before and after each problem: these are comparable between calls.  A table marks a
-problem's runs for which no cheaper run has a smaller error.  The last table has the seconds of the cheapest
-run within a given error.
+are processor time of one thread without the set-up.  The column "relative" has the seconds over those of the
+run ``UNIT``, which is made before and after each problem. Relative seconds are comparable between calls.  A
+table marks a problem's runs for which no cheaper run has a smaller error.  The last table has the seconds of
+the cheapest run within a given error.
 """
 
 import argparse

@@ -205,7 +205,7 @@ def of_steps(text, steps):
 
 
 def left_by(data, key, place):
-    """Results of a case: the mesh, a step's state and row; of output the files."""
+    """Results of a case: the mesh, a step's state and row; for keys of output, the files."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         case = parse_case(toml.write(data), "case.toml", Path("."))

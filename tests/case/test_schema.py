@@ -128,7 +128,7 @@ def test_adaptive_steps_are_counted_by_the_longest_one():
 
 @pytest.mark.parametrize("until", [1.04, 3.0])
 def test_the_least_length_that_a_refusal_names_is_taken(until):
-    """Rounded to the nearest number it would be refused as well."""
+    """The nearest number with two digits would be refused as well."""
     steps = [f"time.until={until}", "time.dt=1e-12", "time.adaptive.dt_min=1e-13"]
     with pytest.raises(CaseError, match="expected at least") as caught:
         case(CASE, *steps, "time.adaptive.dt_max=1e-11")

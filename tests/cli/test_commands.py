@@ -125,8 +125,8 @@ def test_set_up_of_a_command_has_its_imports(case_file, capsys, monkeypatch):
 
 
 def test_check_counts_steps_that_a_run_chooses_by_the_longest_one(case_file, capsys):
-    """The first step lasts a microsecond; counted by this length, there would be a million steps, or days
-    for a run of seconds."""
+    """The first step lasts a microsecond. An estimate by this length would be a million steps, or days for a
+    run of seconds."""
     settings = ["time.dt=1e-6", "time.until=1", "time.adaptive.dt_min=1e-7", "time.adaptive.dt_max=0.05"]
     words = [word for setting in (*settings, "domain.size=[2,1]") for word in ("--set", setting)]
     assert ended("check", case_file, *words) == 0

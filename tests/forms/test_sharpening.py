@@ -148,8 +148,8 @@ def test_stages_carry_their_shares_of_the_step():
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_a_corner_of_a_cell_with_an_interface_contains_one_body(dim):
-    """The projected indicator of a part of a simplex leaves [0, 1], whatever the part is, and the factor that
-    brings it back leaves 0 or 1 at one corner."""
+    """The projected indicator of any part of a simplex leaves [0, 1]. After the factor has scaled it back,
+    the indicator is 0 or 1 at one corner."""
     _, bounds = smeared(mesh=box((1,) * dim, 0.2 if dim == 2 else 0.35))
     by = bounds.sharpening
     u = by._values()
@@ -231,8 +231,8 @@ def test_fractions_of_three_bodies_in_a_cell_are_bounded(dim):
 
 @pytest.mark.parametrize("sign", [-1, 1])
 def test_the_sign_of_an_absent_body_does_not_matter(sign):
-    """Where a third body is absent up to rounding, of either sign, the others have a plane; when the sign
-    bounded slopes, every second interface was an even mixture."""
+    """Where a third body is absent up to rounding, a plane bounds the two other bodies, whatever sign the
+    rounding has. When this sign bounded slopes, every second interface was an even mixture."""
     both = {"material": LINEAR, "density": 1.0}
     of = [*bodies(), nv.Body(name="absent", where=nv.Ball((0.0, 0.0), 0.15), **both)]
     step = Step(box((1, 1), 0.2), nv.Model(bodies=of), SHARP)
@@ -349,8 +349,8 @@ def test_a_disc_in_shear_keeps_its_symmetry():
     """Cells that have given all of a body contain zero or a rounding error of either sign, which must not
     move tensors.
 
-    Half a turn about the middle maps mesh and flow to themselves; when the sign decided, differences grew
-    from 7e-16 to 3e-6.
+    Half a turn about the middle maps mesh and flow to themselves. When the rounding's sign decided,
+    differences grew from 7e-16 to 3e-6.
     """
     edge, mesh = 0.25, structured_box((1, 1), (6, 6), crossed=True, periodic="x")
     run = nv.Simulation(
@@ -386,8 +386,8 @@ def strip_off(scheme, dt=0.0125):
 
 @pytest.mark.parametrize("scheme", ["backward-euler", "midpoint", "sdirk2"])
 def test_a_strip_goes_where_it_is_carried(scheme, monkeypatch):
-    """The fluxes of all stages count; without an exchange, or with an exchange in the wrong direction, the
-    strip goes astray, which one scheme shows."""
+    """The fluxes of all stages count. One scheme shows that the strip goes astray without an exchange, and
+    with an exchange in the wrong direction."""
     assert strip_off(scheme) < 0.03
     if scheme != "midpoint":
         return
@@ -411,7 +411,7 @@ def test_steps_that_carry_an_interface_too_far_are_named_once(dt, times):
 
 
 def test_cells_that_a_step_passes_stay_as_they_are():
-    """A strip higher than its cell began in another cell, whose plane the cell does not know. When
+    """A strip higher than its cell comes from a cell farther away, whose plane is not used. When
     such strips carried matter, the matter gathered in the small cells at a lid's end."""
     _, bounds = smeared()
     by, tau = bounds.sharpening, 0.05
@@ -447,8 +447,8 @@ def passed_through(sharp):
 @pytest.mark.long
 @pytest.mark.ci
 def test_an_interface_that_moves_stays_as_wide_as_it_is():
-    """The disc passes through ten cells once: without ``sharp`` the width becomes 1.7, with it D grows to a
-    hundredth."""
+    """The disc passes through ten cells once. Without ``sharp``, the width becomes 1.7 cells. With ``sharp``,
+    D grows to a hundredth."""
     plain, sharp = passed_through(False), passed_through(True)
     assert plain("disc_smeared")[-1] > 1.5 and 0.5 < sharp("disc_smeared")[-1] < 1.0
     assert sharp("disc_inside")[-1] == pytest.approx(np.pi / 16, rel=0.03)

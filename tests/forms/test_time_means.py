@@ -126,8 +126,8 @@ def momentum_of(load, scheme="backward-euler", solver="coupled", steps=1):
 )
 @pytest.mark.parametrize("scheme", ["backward-euler", "midpoint", "sdirk2"])
 def test_the_momentum_is_the_loads_impulse(load, expected, scheme):
-    """With two Gauss points the pulse gave 0 and the step was right to 0.1; with loads at the times of
-    stages SDIRK2 was equally wrong."""
+    """With two Gauss points, the pulse gave 0, and the step function had an error of 0.1. With loads at the
+    times of stages, SDIRK2 was equally wrong."""
     assert momentum_of(load, scheme) == pytest.approx(expected, rel=1e-8)
 
 

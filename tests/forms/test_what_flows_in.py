@@ -122,8 +122,8 @@ STRESSED = {
 @pytest.mark.parametrize("solver", ["split", "coupled"])
 @pytest.mark.parametrize("state", STRESSED)
 def test_a_stressed_body_goes_on_through_windows_as_it_is(state, solver):
-    """The body is uniform, moves at 0.3 m/s, and its own stress acts on all windows: it stays as it is,
-    whereas entering values of rest pushed it."""
+    """The body is uniform and moves at 0.3 m/s, and its own stress acts on all windows, so that nothing
+    changes. If matter at rest entered, it would push the body."""
     model, mesh = nv.Model(material=STRESSED[state]), box((1, 0.7), 0.5)
     initial = nv.Initial(F=STRETCHED, density=1.3, velocity=(0.3, 0.1))
     T = np.array(nv.Simulation(mesh, model, dt=1.0, initial=initial).fields["cauchy_stress"](mesh(0.4, 0.3)))
@@ -146,8 +146,8 @@ def test_a_stressed_body_goes_on_through_windows_as_it_is(state, solver):
 
 
 def test_rest_that_flows_into_a_strained_body_has_no_thrust():
-    """The momentum is kept within a hundredth of what phi(0) - phi(z) would give; the energy that both lose
-    when they meet is measured, and warned of."""
+    """The change of the momentum is at most a hundredth of the momentum that phi(0) - phi(z) would give. The
+    run measures the energy lost where the body meets entering matter, and warns of it."""
     model, mesh = nv.Model(material=STRESSED["linear"]), box((1, 0.7), 0.4)
     E = CF((0.05, 0, 0, 0, 0, 0, 0, 0, 0), dims=(3, 3))
     initial = nv.Initial(density=1.3, velocity=(0.3, 0), values={"E": E})
@@ -312,8 +312,8 @@ def test_bodies_of_different_bulk_moduli_fall_freely_between_windows(solver):
 @pytest.mark.long
 @pytest.mark.ci
 def test_bodies_of_different_densities_fall_freely_up_to_the_midpoint_rule_s_error():
-    """The weight is that of a step's mean density, and the change of momentum that of the densities at its
-    ends: the error is of second order."""
+    """The weight contains a step's mean density, and the change of momentum the densities at the step's ends.
+    Therefore the error is of second order."""
     coarse, fine = (falls(dt, "split", (2.0, 0.5)) for dt in (0.2, 0.1))
     assert 3.4 < coarse / fine < 4.6 and fine < 0.003
 
@@ -339,8 +339,8 @@ def test_a_ball_flies_out_through_a_window_with_its_medium(solver):
 @pytest.mark.ci
 @pytest.mark.parametrize("solver", ["split", "coupled"])
 def test_bodies_of_different_bulk_moduli_have_the_pressure_of_the_window(solver):
-    """The pressure is 0.05 Pa; the energy of the medium at this pressure, which a wrong boundary term would
-    lack, is 0.0025 Pa."""
+    """The pressure is 0.05 Pa. A wrong boundary term would lack the medium's energy at this pressure, 0.0025
+    Pa."""
     walls = {("left", "right"): nv.Open(pressure=0.05)}
     run = light_and_stiff(walls, 0.1, dt=0.5, solver=solver)
     assert abs(run.run(8.0).column("closure_relative")).max() < 1e-10
@@ -355,7 +355,7 @@ def test_a_gas_vents_through_a_throttle_as_its_closed_form_says(solver, as_body)
     """A gas with p = rho^2 fills a chamber of L = 1 m and vents from 1 Pa to P outside through Z v = p - P,
     slowly beside its sound: p' = -2 p (p - P)/(Z L).
 
-    The mass is right to 1 %; the flow at the end, of the step and in the mean, to 2 %.
+    The mass is right to 1 %. The flow in the last step and the mean flow are right to 2 %.
     """
     Z, P, gas = 50.0, 0.5, nv.BarotropicFluid(B=1.0, gamma=2.0, rho_R=1.0)
     model = nv.Model(material=gas, viscosity=VISCOUS)
@@ -383,10 +383,10 @@ def test_a_body_vents_and_the_one_behind_it_expands_as_their_closed_form_says(so
     chamber of 1 m at 1 Pa; the pressure outside is P, and Z v = p - P, slowly beside their sound.
 
     The body behind fills V = p^(-1/g)/2 m, and p' = -p (p - P)/Z/(V/g + (1 - V)/g_leaves). The mass of the
-    body that leaves is right to 1 %, its flow at the end and that of the whole mass to 2 %, the mass of the
-    body that stays to 0.2 %, and the pressure to 1 %. On six cells a fraction of gas of 0.0034 has smeared
-    as far as the opening; as the gas is ten times as dense as the medium, this adds 3 % to the flow; on
-    eight cells it adds less than 0.1 %.
+    body that leaves and the pressure are right to 1 %, the final flows of this body and of all mass to 2 %,
+    and the mass of the body that stays to 0.2 %. On six cells, a fraction of 0.0034 of the gas has smeared as
+    far as the opening. The gas is ten times as dense as the medium, so that the smeared gas adds 3 % to the
+    flow. On eight cells, it adds less than 0.1 %.
     """
     Z, P, exponents = 50.0, 0.5, {"gas": 2.0, "medium": 1.25}
     laws = {name: nv.BarotropicFluid(B=1 / (g - 1), gamma=g, rho_R=1.0) for name, g in exponents.items()}
@@ -472,8 +472,8 @@ def filled(solver, scheme="backward-euler", grown=1.0, as_body=False, **fluid):
 
 
 def test_a_density_that_nothing_determines_is_warned_of_once_a_hundredth_of_the_mass_is_in():
-    """The fluid rests for 1 s and is then let in: a warning from a step's inflow times the time since the
-    start would come too early."""
+    """The fluid rests for 1 s and then enters. A warning that multiplies a step's inflow by the time since
+    the start would come too early."""
     pressure = 1 + 0.1 * IfPos(nv.time - 1.0, 1.0, 0.0)
     walls = {"left": nv.Open(pressure=pressure, backflow=False), "right": nv.Open(pressure=1.0)}
     model = nv.Model(material=nv.BarotropicFluid(B=1.0, gamma=2.0), viscosity=VISCOUS)

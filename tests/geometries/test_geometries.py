@@ -58,7 +58,7 @@ SCALED = {
 
 @pytest.mark.parametrize("name", SCALED)
 def test_a_domain_is_the_same_in_every_unit_of_length(name):
-    """Squares of 6e5 m ended the process, and small squares lost their walls."""
+    """Netgen ended the process for squares of 6e5 m, and small squares lost their walls."""
     unit = SCALED[name](1.0)
     straight = name in ("box", "channel3d", "bar")
     sizes = SIZES if straight else SIZES[1:]

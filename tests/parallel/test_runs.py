@@ -218,8 +218,8 @@ def test_a_start_at_rest_is_that_of_one_process(names, ranks):
 @pytest.mark.long
 @pytest.mark.ci
 def test_small_systems_run_over_ranks(monkeypatch):
-    """These are the systems of the flow, of diffusing fields and of the density, for which otherwise one
-    rank has all rows."""
+    """The systems of the flow, of diffusing fields and of the density are distributed; otherwise, one rank
+    has all rows."""
     name = "split, all regularisations"
     one = found(1, name)[name]
     monkeypatch.setenv("PETSC_OPTIONS", "-ngvisco_on_one_rank_up_to 0")

@@ -453,7 +453,7 @@ def test_convexity_is_asked_for_in_the_energy_s_domain(energy, passes):
 
 
 def test_volumetric_energy_is_no_difference_of_large_numbers():
-    """K_e/2 (J - 2 + 1/J) would have an error of K_e times the rounding of 1, four orders above the energy
+    """K_e/2 (J - 2 + 1/J) would have an error of K_e times the rounding of 1, which is 1e4 times the energy
     at J = 1 + 1e-10."""
     for J in (1 + 2.0**-33, 1 - 2.0**-33):
         assert referential_volume(1e10, 0.0, 1.0, J, None) == pytest.approx(0.5e10 * 2.0**-66 / J, rel=1e-15)

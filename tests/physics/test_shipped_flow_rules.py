@@ -60,7 +60,7 @@ def test_strength_grows_with_pressure_and_is_never_negative(pressure):
 
 
 def test_every_shipped_rule_is_among_the_examples():
-    """``tests/solver/test_rules_in_flows.py`` runs these examples by all materials, solvers, dimensions and
+    """``tests/solver/test_rules_in_flows.py`` runs these examples with all materials, solvers, dimensions and
     schemes."""
     shipped = {each for each in vars(nv).values() if isinstance(each, type) and issubclass(each, nv.FlowRule)}
     known = {type(rule) for rule in (EXAMPLES | OF_CONFORMATION).values()}

@@ -129,8 +129,8 @@ def internal(given, S, J):
 
 @pytest.mark.parametrize("pair", some("gas and solid"))
 def test_bodies_share_volume_and_entropy_so_that_the_energy_is_least(pair):
-    """The comparison is a minimisation that contains no pressure and no temperature; both follow from its
-    differences."""
+    """The comparison minimises an energy without pressure and temperature. Both follow from differences of
+    the minimum."""
     material, (one, other) = mixture(pair), PAIRS[pair]
     slices, respond_to = material.states(2).slices, respond(material, 2)
 

@@ -247,7 +247,7 @@ def after_one_second(steps: int, L: np.ndarray, with_F: bool) -> np.ndarray:
 
 
 def test_cofactor_row_as_printed_differs_from_ours_by_the_order_of_the_step() -> None:
-    """Neither H is Cof F^k: both differ from it by similar errors of first order in tau."""
+    """Neither H is Cof F^k. Both differ from Cof F^k by similar errors of first order in tau."""
     L = np.array([[0.3, 1.0, 0.2], [-0.4, 0.1, 0.5], [0.2, -0.3, -0.1]])
     exact = cofactor(expm(L))
     size, between, errors = np.linalg.norm(exact), [], []

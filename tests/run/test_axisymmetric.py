@@ -23,8 +23,8 @@ def about_the_axis(mesh=0.5, dt=0.02, **options):
 
 @pytest.mark.parametrize(("solver", "elastic_state"), each_once(SOLVERS, ["F", "B"]))
 def test_homogeneous_stretch_is_that_of_a_point(solver, elastic_state):
-    """The walls hold v = (a r, b y), which carries the body through them: F at a point is that of backward
-    Euler, and so are density, viscous power and stress, to rounding; F_33 is F_rr."""
+    """The walls prescribe v = (a r, b y), which carries the body through the walls. To rounding, F at a
+    point, the density, the viscous power and the stress are those of backward Euler, and F_33 is F_rr."""
     a, b, dt, steps, K_v, G_v = 0.5, -0.4, 0.1, 3, 0.3, 0.2
     flow = (a * x, b * y)
     run = about_the_axis(
@@ -60,7 +60,7 @@ def test_homogeneous_stretch_is_that_of_a_point(solver, elastic_state):
 
 
 def test_both_solvers_keep_energy_mass_and_axial_momentum():
-    """A vortex with creep by a nonlinear rule is in a box whose top is free of axial traction."""
+    """The run is a vortex that creeps by a nonlinear rule, in a box without axial traction at the top."""
 
     def make(solver):
         return about_the_axis(
@@ -98,7 +98,7 @@ def test_wall_forces_bear_a_weight():
 
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_poiseuille_in_a_pipe(solver):
-    """P_2 contains v_y = rho g (R^2 - r^2)/(4 G_v): to rounding it is 1/4 at the axis, twice the mean."""
+    """P_2 contains the exact v_y = rho g (R^2 - r^2)/(4 G_v), which is 1/4 at the axis, twice its mean."""
     run = about_the_axis(
         structured_box((1, 0.5), (3, 1), periodic="y"),
         1.0,

@@ -60,8 +60,8 @@ def test_both_solvers_agree_and_close(name):
 @pytest.mark.long
 @pytest.mark.ci
 def test_heat_of_a_rod_leaves_through_its_side():
-    """If heat is produced evenly, the mean temperature exceeds that outside by q R^2/(8 kappa) + q R/(2 h):
-    on eight cells to two thousandths, with an error above a millionth."""
+    """If heat is produced evenly, the mean temperature exceeds the temperature outside by q R^2/(8 kappa) + q
+    R/(2 h). On eight cells, the error is between a millionth and two thousandths."""
     q, kappa, h = 0.08, 0.5, 2.0
     run = small_run(
         structured_box((1, 0.125), (8, 1)),

@@ -165,7 +165,7 @@ def test_two_halves_of_one_material_are_one_body():
 def test_traces_of_a_stiff_body_do_not_feed_on_a_thin_fluid():
     """A thin fluid bears no stress beside traces of a stiff body.
 
-    The energy falls by the scheme alone, and hardly.
+    Only the scheme lowers the energy, and hardly.
     """
     stiff = nv.ReferentialNeoHookean(K_e=100.0, G_e=50.0)
     fluid = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 50 * (J - 2 + 1 / J))
@@ -179,8 +179,8 @@ def test_traces_of_a_stiff_body_do_not_feed_on_a_thin_fluid():
 
 @pytest.mark.parametrize("bounded", [True, False])
 def test_no_point_is_much_lighter_than_the_lightest_body(bounded, monkeypatch):
-    """The density at a point is at least half of that of the lightest body, if means are; the bound rho > 0
-    alone (the control) lets it fall further."""
+    """If the means of the density exceed half of the lightest body's density, so does the density at each
+    point. With the bound rho > 0 alone (the control), the density falls further."""
     if not bounded:
         monkeypatch.setattr(Mixture, "positive", lambda self, z: {"": {"N": self.fractions.total(z)}})
     bodies = [disc(density=1.0), rest(density=0.2)]
@@ -240,7 +240,7 @@ def test_bad_bodies_are_refused_by_name(make, match):
 
 
 class Growth(PointTerm):
-    """A source of mass, 1 kg/(m^3 s), which does not say of which of the bodies."""
+    """A source of mass, 1 kg/(m^3 s), that names no body."""
 
     def cells(self, u, w):
         return [-1.0 * w.rho]
@@ -316,13 +316,13 @@ def test_bulk_moduli_that_differ_much_are_warned_of_by_name(K_e, m, warns):
 def test_layers_with_a_face_inside_a_cell_are_in_series(solver, viscosities, k):
     """A Couette flow has two layers, whose face is in the middle of a cell.
 
-    With the arithmetic mean in this cell the force is 7 per cent too large, with constants in cells 8 and
-    10. In the face's cell the fluidity, and so the shear rate, changes linearly from one layer's to the
-    other's, whereas the exact one jumps: with the difference D of the rates the velocity is D h/8 off at the
-    face, 2.3 and 2.8 per cent. So the force, the velocity beside this cell and its mean are within 2 per
-    cent of the lid's, but the velocity in the cell is not. The best parabola between the cell's ends is
-    0.037 D h off, with rates at the ends outside the range of both layers. A velocity of order 1 is D h/4
-    off there, whatever its rate is.
+    With the arithmetic mean in this cell, the force is 7 per cent too large. With constants in cells, it is 8
+    and 10 per cent too large. In the cell of the face, the computed shear rate changes linearly from one
+    layer's to the other's, whereas the exact shear rate jumps by D. The velocity at the face is therefore D
+    h/8 off, 2.3 and 2.8 per cent. So the force, the velocity beside this cell and the mean velocity are right
+    within 2 per cent, but the velocity in the cell is not. The best parabola between the cell's ends is 0.037
+    D h off, and its rates at the ends are outside of the range of both layers. At the face, a velocity of
+    order 1 is D h/4 off, whatever its rate is.
     """
     face, (low, high) = 0.5625, viscosities
     stress = 1 / (face / low + (1 - face) / high)

@@ -105,8 +105,8 @@ def mean_square(values):
 
 
 def test_gradient_creep_tends_to_that_without_a_gradient_like_nu():
-    """The difference is O(nu) on one mesh, from the continuous Pi of nu = 1e-12, not from the cellwise Pi of
-    nu = 0."""
+    """On one mesh, the difference from the continuous Pi of nu = 1e-12 is O(nu). The difference from the
+    cellwise Pi of nu = 0 is not."""
     limit = distortion(swirl(nv.Creep(G_m=2.0, nu=1e-12, q=2.0)))
     errors = [
         mean_square(distortion(swirl(nv.Creep(G_m=2.0, nu=nu, q=2.0))) - limit) for nu in (1e-3, 1e-4, 1e-5)
@@ -150,11 +150,11 @@ def test_stiff_relaxation_goes_on_while_the_body_moves(start, name, G_m, dt, ste
     """With 2 to 1e5 Maxwell times G_m/(2 G_e) in a step the step is solved, the energy falls, and the root
     is the physical one.
 
-    The equations have other roots: at a fixed shape and a = 2 G_e tau/G_m >> 1 there are roots H of size
-    a^(-1/3) with two negative stretches, whose determinant is positive like that of the physical root. At
-    the physical root |z| is that of a relaxed state, F = J^(1/3) Q (within 7 % after a step of 1 s from 30
-    %). A swirl with steps of 1 s turns by half a circle in a step, which reduces z, stiff or not. On six
-    cells det F and J then differ by up to 50 % and more, where 10 % is the default bound.
+    The equations have other roots. At a fixed shape and a = 2 G_e tau/G_m >> 1, roots H of size a^(-1/3) have
+    two negative stretches and a positive determinant, as the physical root has. At the physical root |z| is
+    that of a relaxed state, F = J^(1/3) Q (within 7 % after a step of 1 s from 30 %). A swirl with steps of 1
+    s turns by half a circle in a step, which reduces z, stiff or not. On six cells det F and J then differ by
+    up to 50 % and more, where 10 % is the default bound.
     """
     options = {"time": nv.TimeSteps(dt=dt, drift=1.0)} if start is swirl and dt == 1.0 else {}
     run = start(nv.Creep(G_m=G_m), dt=dt, material=BY_NAME[name], **options)

@@ -105,8 +105,8 @@ G, G_C, LENGTH = 5.0, 0.02, 0.1
 def band(law, n):
     """Cost over G_c, the integral of d over l, and largest stress, Pa, of a strip that is sheared and breaks.
 
-    n rows of cells, of 1 m in all.  The shear gamma of each row is that of equilibrium, one stress in all, of
-    a given mean; it and the growth of damage, which may heal at once, take turns until nothing changes.
+    n rows of cells, of 1 m in all.  The shear gamma of the rows has a given mean, and the same stress in all
+    rows. Shear and damage, which may heal at once, are computed in turn until nothing changes.
     """
     mesh = structured_box((1 / n, 1.0), (1, n), periodic="x")
     rubber = nv.ReferentialNeoHookean(K_e=20.0, G_e=G, elastic_state="F")
@@ -167,8 +167,8 @@ def test_damage_stays_or_heals_at_its_rate():
 
 
 def test_damage_that_heals_to_zero_loses_its_surface_energy():
-    """The slope 3 G_c/(8 l) of AT1's surface energy holds d at 0; viscosity dissipates eta d^2/dt in a step,
-    and the rest of the surface energy is the scheme's."""
+    """The slope 3 G_c/(8 l) of AT1's surface energy holds d at 0. In a step, viscosity dissipates eta d^2/dt,
+    and the scheme the rest of the surface energy."""
     law = damaged(length=1.0, law="AT1", healing_viscosity=0.01)
     model, initial = nv.Model(material=law), nv.Initial(values={"damage": 0.2})
     run = Simulation(box((1, 1), maxh=0.9), model, dt=0.1, initial=initial, solver="coupled")
@@ -232,7 +232,7 @@ def test_crack_that_is_stretched_keeps_its_energy_per_reference_area():
 
 
 def test_growth_in_a_step_is_a_column_and_much_of_it_is_warned_of():
-    """For a homogeneous damage, the area of cracks made in the steps is the stored area."""
+    """If the damage is homogeneous, the crack areas made in the steps add up to the stored area."""
     run = sheared("AT2")
     with pytest.warns(
         nv.DamageWarning,

@@ -77,7 +77,7 @@ def test_ledger_closes_for_laws_flow_rules_and_dimensions(law, dim, scheme, of_b
 
 
 def test_two_bodies_break_each_by_its_own_damage():
-    """Both have the names, fields and dissipation of their own; the sums are the ledger's."""
+    """Each body has its own names, fields and dissipation, and the ledger has the sums."""
     weak = damaged(floor=1e-3, G_c=0.02, material=nv.ReferentialNeoHookean(K_e=10.0, G_e=2.0))
     run = turned(beside=weak, names=("rest",))
     assert_damage(run)
@@ -86,7 +86,7 @@ def test_two_bodies_break_each_by_its_own_damage():
 
 
 def states(material, count=40, seed=1):
-    """Random states in which the bodies have positive amounts and strains, and others of the damage."""
+    """Random states of positive amounts and strains, and random values of the damage."""
     rng, space = np.random.default_rng(seed), material.states(2)
     F = np.eye(3) + np.pad(0.2 * rng.uniform(-1, 1, (count, 2, 2)), ((0, 0), (0, 1), (0, 1)))
     share, result = rng.uniform(0.2, 0.8, count), np.zeros((count, space.size))
@@ -107,7 +107,7 @@ def mixture():
 
 
 def test_each_step_from_a_state_to_another_dissipates_at_every_point(mixture):
-    """phi(old; d_old) - phi(now; d) - slope : (old - now) >= 0 with the slope that lags."""
+    """phi(old; d_old) - phi(now; d) - slope : (old - now) >= 0, with the slope at the old damage."""
     respond, lagged = mixture.response(2), np.zeros(mixture.states(2).size, dtype=bool)
     for name in mixture.lagged:
         lagged[mixture.states(2).slices[name]] = True
@@ -144,7 +144,7 @@ def test_slopes_are_those_of_the_energy(mixture):
 
 
 def test_damage_of_one_body_changes_nothing_where_it_is_absent(mixture):
-    """But the energy of its cracks with the trace of matter that backs an absent body."""
+    """Only the energy of cracks changes, in the trace of matter that stands for an absent body."""
     space, respond = mixture.states(2), mixture.response(2)
     alone = np.zeros((2, space.size))
     alone[:, space.slices["n_rest"]] = 1.1

@@ -139,8 +139,8 @@ def test_a_run_keeps_its_choice_over_checkpoints_and_other_orders(tmp_path):
 def test_B_stores_what_F_dissipates_in_the_step():
     """B^k = B + tau (L B + B L^T) lacks tau^2 L B L^T of F F^T, which F loses as ``bregman``.
 
-    The difference of the stored energies was measured as 0.985 and 0.98 of F's bregman at 0.02 and 0.01 s;
-    with the midpoint rule 0.9 % of it remains at 0.02 s, an error in space.
+    The difference of the stored energies was 0.985 and 0.98 of F's bregman at 0.02 and 0.01 s. With the
+    midpoint rule, 0.9 % of this difference remains at 0.02 s, an error in space.
     """
     viscosity, stored = nv.StokesViscosity(K_v=0.1, G_v=0.1), []
     for dt, scheme in ((0.02, "backward-euler"), (0.01, "backward-euler"), (0.02, "midpoint")):
@@ -189,7 +189,7 @@ def test_run_that_winds_up_warns_once_and_ends_by_name_with_the_remedy():
 
 
 def in_a_closed_box(state, m=0, speed=0.1, **options):
-    """A longitudinal wave in a box, where m = 0 leaves motion that no variable feels and little holds."""
+    """A longitudinal wave in a box with m = 0, where no variable feels a part of the motion."""
     material = nv.ReferentialNeoHookean(K_e=10.0, G_e=2.0, elastic_state=state)
     model = nv.Model(material=material, viscosity=nv.StokesViscosity(K_v=0.0, G_v=1e-9))
     start = nv.Initial(density=1.0, velocity=(speed * sin(pi * x / 4), 0))

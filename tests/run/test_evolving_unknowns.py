@@ -66,7 +66,8 @@ class Pores(Relaxation):
 
 
 class Swelling(Pores):
-    """The volume of a cell grows with the pressure, half of it old: rows of z that read what else evolves."""
+    """The volume of a cell grows with the mean of old and new pressure: the rows of z read another evolving
+    unknown."""
 
     def _growth(self, u):
         return 0.05 * (u.parts["theta"] + u.context.old.parts["theta"])

@@ -127,7 +127,7 @@ def test_the_impulse_of_walls_is_that_of_their_reactions(between, scheme):
 
 @pytest.mark.parametrize("as_bodies", [False, True])
 def test_a_floor_bears_the_weight(as_bodies):
-    """The flux of bodies counts: B_h takes phi - z : zeta from the stress."""
+    """The flux of bodies counts, because B_h takes phi - z : zeta out of the stress."""
     weight = 1.5
     loads = [nv.Gravity((0.0, -1.0))]
     model = nv.Model(material=SOLID, viscosity=nv.StokesViscosity(K_v=2, G_v=2), loads=loads)
@@ -253,8 +253,8 @@ def test_inertia_keeps_momentum_and_what_it_loses_of_rotations_is_seen():
 
 
 def test_jumps_of_smooth_states_push_nothing():
-    """The trace at which both tangents meet has no thrust, and neither has a quadrature that resolves the
-    energy."""
+    """Neither the trace at which both tangents meet nor a quadrature that resolves the energy has a
+    thrust."""
     ledger = thrown().run(until=0.1)
     size = ledger.column("momentum_size").max()
     assert abs(of(ledger, "defect_cells")).max() < 1e-9 * size
@@ -286,7 +286,8 @@ def test_a_clamped_body_under_stress_rests_without_warnings():
 def test_walls_bear_the_torque_of_a_heated_block_that_they_clamp():
     """The jumps of the thermal stress in a row of cells with one diagonal have a torque of 1e-6 of its own.
 
-    Nothing moves, since the walls bear this torque; momentum and impulses of walls are no scale for it.
+    Nothing moves, since the walls bear this torque. Momentum and impulses of walls give no scale of this
+    torque.
     """
     metal = nv.Thermal(
         material=nv.LinearElastic(K_e=160e9, G_e=80e9), c=3.6e6, theta_R=293.0, expansion=3.6e-5
@@ -307,8 +308,8 @@ def test_walls_bear_the_torque_of_a_heated_block_that_they_clamp():
 
 @pytest.mark.parametrize("bodies", [0, 2])
 def test_only_matter_that_fills_the_domain_leaves_a_defect_to_the_walls(bodies, monkeypatch):
-    """A defect of a hundredth of the stress's impulse, far above all momentum: a body may drift in its medium
-    against viscosity, so that the defect counts in full there."""
+    """The defect is a hundredth of the stress's impulse, far above all momentum. A body may drift in its
+    medium against viscosity, so that the whole defect counts."""
     parts = [
         nv.Body(name="block", where=0.5 - x, material=SOLID, viscosity=STOKES, density=1.0),
         nv.Body(name="rest", material=SOLID, viscosity=STOKES, density=1.0),

@@ -68,7 +68,8 @@ def test_states_stay_within_the_domain_of_the_energy(solver, scheme):
 
 @pytest.mark.parametrize("solver", [by_ci("coupled"), "split"])
 def test_a_step_beyond_the_domain_is_refused_by_its_name(solver):
-    """A lid draws an elastic body on and on, until a step is refused, and the run names it."""
+    """A lid stretches an elastic body until a step is refused. The error says how much room to stretch is
+    left."""
     run = sheared(GENT, 4.0, solver, creep=None, halvings=1)
     with pytest.raises(nv.StepError) as caught:
         run.run(1.0)

@@ -122,8 +122,7 @@ def test_outlines_have_their_distance():
 
 @pytest.mark.parametrize("m", [0, 1, 2])
 def test_columns_of_a_body_are_those_of_its_shape(m):
-    """The body has 3.6 cells across its breadth, and the area is that within chords through points half a
-    cell apart."""
+    """The body is 3.6 cells broad, and its area is that within chords through points half a cell apart."""
     start = nv.Initial(velocity=(-0.7 * (y - 0.5), 0.7 * (x - 0.5)))
     found = measured(
         run_with(("e", inside_ellipse(x, y)), m=m, initial=start), "deformation", "outline", "turning"

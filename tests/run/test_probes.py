@@ -70,7 +70,7 @@ MOVING = FRICTION | {"bottom": nv.PrescribedTangential((nv.time, 0))}
 def test_forces_on_walls_balance_weight_and_momentum(walls, options, bound):
     """The scheme keeps momentum up to the projection of v, which only the convection contains.
 
-    The forces' mean over the stages and the impulse at the end make the change of momentum in a step.
+    The forces' mean over the stages, and the impulse at the end, give the change of momentum in a step.
     """
     forces = nv.WallForces()
     integrals = nv.Integrals({"1": "density*velocity_1", "2": "density*velocity_2", "m": "density"})

@@ -352,8 +352,7 @@ def require_rest(run: nv.Simulation) -> None:
 
 @pytest.mark.parametrize("material", list(materials()))
 def test_a_body_at_rest_closes(material):
-    """Before, OldroydB had a closure of 5e-33 J over an energy of 0 J, and a warning called the relative
-    closure 2.0 not to be trusted."""
+    """OldroydB had a closure of 5e-33 J over an energy of 0 J, and a warning of a relative closure of 2.0."""
     require_rest(run_of(material, density=2.3 + x, solver="coupled"))
 
 

@@ -74,10 +74,11 @@ def relative(found, exact, names):
     ],
 )
 def test_products_of_tangent_and_adjoint_are_equal(scheme, solver):
-    """The velocities of the start change, since viscosities of mixtures have a kink by fractions that are 0.
+    """The test changes the velocities of the start, because viscosities of mixtures have a kink where a
+    fraction is 0.
 
-    With the seed 0 the third step of SDIRK2 has a point whose fraction changes its sign within the tangent's
-    differences: the products then differ by 1e-6, and with differences three times closer they are equal.
+    With the seed 0, a fraction changes its sign at a point within the tangent's differences (third step of
+    SDIRK2). The products then differ by 1e-6. With a third of the spacing, the products are equal.
     """
     of, seed = numbers(bodies()), int(scheme == "sdirk2")
     by_tangent, by_adjoint = directional(partial(bodies, solver=solver), scheme, of, 0.5, "v", seed)

@@ -1,6 +1,6 @@
 """Tangents and adjoints of further models: bodies, heat, yield, energies without an expression.
 
-All of them by all schemes are the verification case ``sensitivities``.
+The verification case ``sensitivities`` has all models by all schemes.
 """
 
 from functools import partial
@@ -76,7 +76,8 @@ def test_both_are_what_differences_tend_to(make, name, value, options):
 
 @pytest.mark.parametrize("solver", ["coupled", by_ci("split")])
 def test_heat_by_the_scheme_has_derivatives_beside_much_heat(solver):
-    """The power has 7e-5 of the expansion's relative change; rounding of 600 J of heat bounds the digits."""
+    """The relative change of the power is 7e-5 of the expansion's. Rounding of 600 J of heat bounds the
+    digits."""
     value, of = 1e-3, ["power_heat_numerical at 0.06", "power_heat_numerical until 0.06", "bregman at 0.06"]
     make = partial(heated, by_scheme=True, solver=solver, scheme="backward-euler")
     tangent, adjoint = (
@@ -166,8 +167,8 @@ def test_interfaces_without_derivatives_are_refused(discretisation, method, said
 
 @pytest.mark.parametrize("scheme", [by_ci("backward-euler"), "midpoint"])
 def test_sharp_interfaces_have_tangents(scheme):
-    """Amounts that cells exchange, and the places of planes, follow the parameters; with the exchange as a
-    constant the derivatives of the place are off by 6 to 30 %, and that of D by half."""
+    """Exchanged amounts, and the places of planes, depend on the parameters. If the exchange were a constant,
+    the derivatives of the place would be off by 6 to 30 %, and that of D by half."""
 
     def made(G_e):
         table = nv.Bodies(measures=["deformation"])

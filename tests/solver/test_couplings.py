@@ -137,7 +137,7 @@ class OldViscosity(PointTerm):
 
 
 class Impulse(PointTerm):
-    """The row -J . w/tau: each step adds a momentum, and ``rate`` has a number."""
+    """The row -J . w/tau, by which each step adds the momentum J; ``rate`` is a number."""
 
     def cells(self, u, w):
         return [u.context.rate(-0.01) * w.v[0]]

@@ -32,7 +32,7 @@ class Cubic(nv.FlowRule):
 
 
 def stretched(rule, solver, bodies):
-    """A homogeneous box at rest whose shape cannot change: what moves is the elastic strain alone."""
+    """A homogeneous box at rest whose shape cannot change: only the elastic strain changes."""
     initial = nv.Initial(F=CF(tuple(F_0.ravel()), dims=(3, 3)))
     viscosity = nv.StokesViscosity(K_v=1.0, G_v=1.0)
     if bodies:

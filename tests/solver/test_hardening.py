@@ -90,8 +90,8 @@ def body(name="one", **parts):
 
 @pytest.mark.parametrize("solver", ["split", "coupled"])
 def test_a_body_hardens_by_the_law(solver):
-    """All strains and stresses are a thousandth of those of ``relaxed``, so that finite strains are
-    small."""
+    """All strains and stresses are a thousandth of those of ``relaxed``, so that the finite strains of the
+    body are small strains."""
     small, law = 1e-3, {"H": 1.0, "Q": 2.0, "b": 20.0}
     rule = nv.Perzyna(sigma_Y=small * SIGMA_Y, G_m=G_M, H=1.0, Q=small * 2.0, b=20.0 / small)
     material = nv.ReferentialNeoHookean(K_e=10.0, G_e=G_E / 2, elastic_state="B")

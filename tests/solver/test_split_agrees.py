@@ -47,7 +47,7 @@ def residual(run):
 def by_tolerance(run, draws=1):
     """Bounds of the changes of rows by increments as large as the solver's tolerance, block by block.
 
-    An iteration that ends with such an increment leaves rows of the size of stiffness times increment.  For
+    An iteration that ends with such an increment leaves rows as large as stiffness times increment.  For
     random increments d of one length, |J d| is |J|_F |d|/sqrt(n) in the mean, and at most |J|_F |d|.
     """
     state, rng = run.rothe_step.state.vec.FV().NumPy(), np.random.default_rng(0)
@@ -67,8 +67,9 @@ def by_tolerance(run, draws=1):
 def assert_both_agree(mesh, physics, steps=2, dt=0.02, **options):
     """Run both and return their ledgers, which agree; so do rho, v and z to 1e-9.
 
-    Traces and normal derivatives are held to the residual: where diffusion or hyperviscosity hardly acts they
-    are hardly determined (a trace of the delta-regularised rho to 1e-8, by what the coupled solver leaves).
+    Traces and normal derivatives are compared by the residual. Where diffusion or hyperviscosity hardly acts,
+    the equations hardly determine them: the coupled solver finds a trace of the delta-regularised rho to
+    1e-8.
     """
     options.setdefault("initial", nv.Initial(velocity=(*SWIRL, CF(0))[: mesh.dim]))
     of_coupled = dict(options)

@@ -197,8 +197,8 @@ def test_two_levels_lead_to_the_same_solution(k):
 
 
 def test_an_increment_is_solved_no_more_exactly_than_the_end_of_the_iteration_needs(monkeypatch):
-    """The last increments take fewer directions, the iterations are as many, and the solution is as exact as
-    required."""
+    """The last increments take fewer directions. The number of iterations stays, and the solution is as exact
+    as required."""
     loosest, runs = split_solver._LOOSEST, []
     for bound, tolerance in ((loosest, 1e-10), (0.0, 1e-10), (0.0, 1e-13)):
         monkeypatch.setattr(split_solver, "_LOOSEST", bound)
@@ -314,8 +314,8 @@ def test_walls_stresses_beside_two_levels_take_few_more_iterations():
 @pytest.mark.long
 @pytest.mark.ci
 def test_sweeps_follow_the_courant_number_and_no_step_is_retried():
-    """Three sweeps of the transport no longer suffice for Newton's increments; more sweeps and the fields'
-    systems do."""
+    """Three sweeps of the transport do not suffice for Newton's increments. More sweeps, with the fields'
+    systems solved, do."""
     run = simulation(mesh=box((1, 1), maxh=0.2, periodic="x"), speed=300.0, dt=1e-3)
     rows = [run.advance() for _ in range(2)]
     assert rows[0]["cfl"] > 1.9 and min(row["cfl"] for row in rows) > 1.5

@@ -38,8 +38,8 @@ def test_one_cell_s_eigenvalue_is_found_among_many(size):
 
 
 def test_sweeps_leave_what_a_polynomial_of_chebyshev_leaves():
-    """At most 1/T_3(9/7) of errors with eigenvalues of D^{-1} A in [largest/8, largest], and so much of
-    one."""
+    """The smoother leaves at most 1/T_3(9/7) of errors with eigenvalues of D^{-1} A in [largest/8, largest],
+    and of one error exactly this part."""
     size = MANY // 2
     turned = np.linalg.qr(np.random.default_rng(3).standard_normal((size, size)))[0]
     A = turned @ np.diag(np.linspace(1.0, SMOOTHED, size)) @ turned.T

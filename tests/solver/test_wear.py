@@ -25,8 +25,8 @@ def renewals(directions, new):
 
 
 def test_a_new_tangent_that_spares_no_direction_is_not_formed():
-    """The directions are those of the increments on 50,552 tetrahedra, six of eight of which had a new
-    tangent in vain."""
+    """The directions are those of eight increments on 50,552 tetrahedra, where six new tangents saved
+    nothing."""
     directions = [21, 24, 23, 23, 24, 14, 14]
     assert renewals(directions, directions) == []
 
@@ -75,8 +75,9 @@ def test_a_slow_tangent_is_renewed_before_the_iteration_has_become_long():
 
 
 def test_an_increment_by_a_worn_tangent_is_computed_anew_at_once(monkeypatch):
-    """Every contraction counts as slow here.  No residual lies between an increment that shows that its
-    tangent is worn and the new tangent, and the contraction by the old tangent does not wear the new one."""
+    """Every contraction counts as slow here.  If an increment shows that the tangent is worn, the tangent is
+    renewed without a further residual. The contraction by the old tangent does not count for the new
+    tangent."""
     worn = SplitOptions(renewed_above=1e9, stale_above=1e-12)
     run, events = swirling(0.3, 0.02, solver="split", newton=nv.NewtonOptions(split=worn)), []
 

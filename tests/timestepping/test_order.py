@@ -18,7 +18,8 @@ from ngvisco.geometries import disc
 
 
 def run_to(until, steps, scheme, mesh=0.5, **options):
-    """Run by the coupled solver, which takes less time on few straight cells; both find the same."""
+    """Run by the coupled solver, which takes less time on few straight cells. Both solvers have the same
+    results."""
     settings = {
         "viscosity": nv.StokesViscosity(K_v=0.1, G_v=0.1),
         "hyperviscosity": nv.HyperViscosity(mu=1e-4, p=4),

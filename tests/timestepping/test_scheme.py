@@ -24,8 +24,8 @@ def taken(scheme, f, u, tau, newton):
 
 @pytest.mark.parametrize("scheme", [*ALL, THIRD], ids=str)
 def test_stages_take_the_whole_impulse_of_a_load(scheme):
-    """With one stage all times count the same; a scheme of order 2 takes the value at the stage of a load
-    that is linear in time."""
+    """With one stage, all times have the same weight. If a load is linear in time, a scheme of order 2 takes
+    its value at the stage."""
     tilts = np.array(scheme.tilts)
     assert abs(tilts @ scheme.b) <= 1e-15
     assert scheme.stages > 1 or tilts == 0

@@ -119,7 +119,7 @@ def test_times_go_on_after_a_restart_with_other_steps(before, after, tmp_path):
 
 @pytest.mark.parametrize("where", [by_ci("solution"), by_ci("row"), "estimate"])
 def test_an_interrupt_leaves_the_state_before_the_step(where, monkeypatch, tmp_path):
-    """No state is left without its row of the ledger, and no checkpoint from which a run cannot continue."""
+    """Every state has its row of the ledger, and a run can continue from every checkpoint."""
     options = {"adaptive": nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.02, tolerance=0.1), "passive": ("F_tot",)}
     run = simulation(**options, observers=[nv.Checkpoints(tmp_path / "run.h5", every=1)])
     run.run(0.04)
@@ -229,8 +229,8 @@ def test_a_relaxed_run_dissipates_nothing_numerically():
 
 @pytest.mark.parametrize(("dt", "speed"), [(1e-4, 1.0), by_ci(0.02, 1e-4), by_ci(0.02, 1e-6), (0.02, 0.0)])
 def test_a_relaxed_run_ends_where_little_moves(dt, speed):
-    """In a short step, or a slow motion, the remainder is at the rounding of the energies, and so is its
-    zero."""
+    """In a short step, or a slow motion, the remainder is as small as the rounding of the energies, and its
+    zero is as uncertain."""
     slow = nv.Initial(velocity=(speed * SWIRL[0], speed * SWIRL[1]))
     stepping = nv.AdaptiveSteps(dt_min=dt / 8, dt_max=dt)
     ledger = simulation(dt, adaptive=stepping, relaxation=True, initial=slow, loads=[]).run(5 * dt)

@@ -82,8 +82,8 @@ def _period(
 def _beside(other: nv.Thermal, bulk: float, rho: float) -> tuple[float, float]:
     """Measured and exact periods of an ideal gas beside a body of density rho and bulk modulus ``bulk``.
 
-    Each fills half of the box; the exact frequency solves Z_1 cot(omega/(2 c_1)) + Z_2 cot(omega/(2 c_2)) =
-    0."""
+    Each body fills half of the box. The exact frequency solves Z_1 cot(omega/(2 c_1)) + Z_2 cot(omega/(2
+    c_2)) = 0."""
     speeds, impedances = np.sqrt([1.4, bulk / rho]), np.sqrt([1.4, bulk * rho])
 
     def excess(omega: float) -> float:
