@@ -73,7 +73,7 @@ def test_demo_keeps_energy_mass_and_positivity(name, steps, options, tmp_path):
     if run.scheme.order == 1:  # with second order both remainders have either sign
         assert min(ledger.column("bregman").min(), ledger.column("inertial").min()) >= 0
     written(tmp_path, "ledger.csv", "run.h5", "energies.png", "fields.png", "vtk/fields.pvd")
-    if name == "swirl":  # the demo's picture compares this: Euler's share of the loss is 0.145 J
+    if name == "swirl":  # the demo's picture compares the losses: that of backward Euler is 0.145 J
         written(tmp_path, "schemes.png")
         assert abs((ledger.column("inertial") + ledger.column("bregman")).sum()) <= 1e-5
 
@@ -225,7 +225,7 @@ def test_gel_rings_down_by_its_loss_factor():
     s, theory = demo.exact(1.7, 0.4 * np.arange(len(top)))
     assert np.abs(top - theory).max() <= 0.02 < 0.5 < 1 - np.abs(theory[-25:]).max()
     at = demo.modulus(1j * s.imag, 1.7)
-    assert -2 * s.real / s.imag == pytest.approx(at.imag / at.real, rel=0.1)  # damping is small
+    assert -2 * s.real / s.imag == pytest.approx(at.imag / at.real, rel=0.1)  # holds for small damping
     assert balanced(run).column("dissipation_creep_mode_1")[1:].min() >= 0
 
 

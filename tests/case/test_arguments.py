@@ -322,7 +322,7 @@ def test_argument_of_what_writes_has_an_effect(observed, tmp_path):
         place.mkdir()
         streams = io.StringIO(), io.StringIO()
         given = {**needed, argument: value}
-        if name == "Progress":  # the second stream gets what the first one does not
+        if name == "Progress":  # the second stream gets what the first stream does not
             given["stream"] = streams[i if argument == "stream" else 0]
         given = {k: place / v if k in ("path", "directory") else v for k, v in given.items()}
         observer = cls(**given)

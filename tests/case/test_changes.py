@@ -48,7 +48,7 @@ def test_the_directory_holds_both_cases_and_the_change(run):
     assert change["step"] == 2 and change["settings"] == settings
     log = (run / "log.txt").read_text()
     assert "changed: time.dt=0.01" in log and "2 steps of 0.01 s" in log and "step     4/4  t 0.06 s" in log
-    # what follows is a plain resume of the changed run, and loading it too
+    # resuming and loading now mean the changed run
     assert nv.case.resume(run, 0.08).number == 6
     assert nv.load(run).case.sections.material.G_e == 6
 

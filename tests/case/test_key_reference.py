@@ -180,7 +180,7 @@ def test_what_a_template_offers_is_admitted():
             continue
         table = next(text for text in reversed(before) if text.lstrip("# ").startswith("["))
         if table.startswith("#"):
-            break  # whole tables from here on: a case takes them as wholes
+            break  # whole tables from here on, since a case takes a table as a whole
         if line[2:].split(" = ")[0] in COMPANIONS:
             continue
         parse_case("\n".join([*before, line[2:], *lines[number + 1 :]]), "swirl", Path("."))
@@ -209,7 +209,7 @@ def test_what_a_template_offers_is_admitted():
 def test_explain_says_what_a_key_is(path, words):
     text = reference.explain(path)
     assert all(word in text for word in words), text
-    assert text.count("material.K_e\n") <= 2  # once for each of its ranges
+    assert text.count("material.K_e\n") <= 2  # the key is listed once for each of its ranges
 
 
 @pytest.mark.parametrize(

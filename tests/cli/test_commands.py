@@ -110,7 +110,8 @@ def test_check_reports_and_writes_nothing(case_file, capsys, monkeypatch):
         r"s a step, .* in all, after \S+ s of set-up, and 0\.\d+ s for 2 files of fields \(from 4 measured",
     ):
         assert re.search(pattern, printed), pattern
-    for every, files in ((2, 3), (3, 3), (4, 2)):  # in 4 steps: the start, every so many steps, and the end
+    # rows of 4 steps: the start, every so many steps, and the end
+    for every, files in ((2, 3), (3, 3), (4, 2)):
         assert ended("check", case_file, "--set", f"output.vtk.every={every}") == 0
         assert f" s for {files} files of fields" in capsys.readouterr().out
     assert list(case_file.parent.iterdir()) == [case_file]
@@ -140,7 +141,7 @@ def test_check_counts_steps_that_a_run_chooses_by_the_longest_one(case_file, cap
         assert re.search(pattern, printed), pattern
     each, whole, unit = re.search(r"estimate +(\S+) s a step, (\S+) (s|min) in all", printed).groups()
     first_and_others = float(whole) * {"s": 1, "min": 60}[unit] / float(each)
-    assert first_and_others > 15  # twenty, and what the first one takes longer
+    assert first_and_others > 15  # the time of twenty steps, and the additional time of the first step
 
 
 @pytest.mark.filterwarnings("default::ngvisco.errors.InputWarning")
@@ -353,7 +354,8 @@ def test_a_ledger_that_does_not_close_is_loud(case_file, tmp_path, capsys, monke
     monkeypatch.setattr(Loading, "entries", lambda self, u: [])
     assert ended("run", case_file, "-o", tmp_path / "out", "--quiet") == 4
     said = capsys.readouterr()
-    assert said.err.count("THE LEDGER DOES NOT CLOSE") == 2  # when it is found, and in the end
+    # once when the fault is found, and once at the end
+    assert said.err.count("THE LEDGER DOES NOT CLOSE") == 2
     assert "ngvisco: warning: THE LEDGER DOES NOT CLOSE in 1 step" in said.err
     log = (tmp_path / "out" / "log.txt").read_text(encoding="utf-8")
     assert "ClosureWarning: THE LEDGER" in log and "DOES NOT CLOSE in 4 steps" in log

@@ -134,7 +134,7 @@ def test_a_mesh_file_cut_short_is_refused(cut, half, case_file):
     )
     case_file.write_text(text)
     code, _, err = command("check", case_file)
-    # the mesh proper is followed by Netgen's copy of the geometry: without it the mesh may be whole
+    # Netgen's copy of the geometry follows the mesh: a file without the copy may still have the whole mesh
     assert (code == DONE and cut > 0.5) or (code == BAD_INPUT and "broken.vol" in err and "domain" in err)
 
 
@@ -355,7 +355,7 @@ def test_killed_at_random_moments_the_run_is_resumed_bit_for_bit(tmp_path, case_
         process.send_signal(signal.SIGKILL)
         process.communicate()
         if (place / "run.h5").exists():
-            ledger = nv.read_ledger(place / "run.h5")  # the last good one is always readable
+            ledger = nv.read_ledger(place / "run.h5")  # the last good checkpoint is always readable
             assert ledger["step"][-1] >= last
             last = int(ledger["step"][-1])
             assert rows(place) >= last

@@ -259,4 +259,4 @@ def test_mean_above_a_cut_off_s_bound_is_a_violation():
     step.state.vec.FV().NumPy()[step.layout.ranges["rho"]] *= 1.3
     violation = bounds.violation()
     assert violation is not None and violation.is_mean and violation.quantity == OF_CUT_OFF
-    assert bounds_of(step).violation() is None  # a start above it has no such bound
+    assert bounds_of(step).violation() is None  # a start above the bound has no such bound

@@ -48,7 +48,7 @@ def mismatch(step: Step, *, refreshed: bool = True) -> float:
         step.local_unknowns.update_stored()
         return residual(form, step.state.vec)
 
-    difference = central_difference(shifted, 1e-6)  # less than the way to the kinks of |v . n|
+    difference = central_difference(shifted, 1e-6)  # smaller than the distance to the kinks of |v . n|
     step.state.vec.data = base
     return float(np.abs(assembled - difference).max() / np.abs(difference).max())
 

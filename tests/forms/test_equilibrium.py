@@ -136,7 +136,7 @@ def test_layers_bodies_and_heat():
     warm = nv.Thermal(material=ROCK, c=1.0, theta_R=300.0, expansion=1e-3, rho_R=RHO)
     hot = at_rest(warm, temperature=300 + 50 * y)
     top, base = pressures(hot, 1.0, 0.0)
-    assert abs(top) < 0.1 and 0.93 * RHO < base < 1.05 * RHO  # less where it has expanded
+    assert abs(top) < 0.1 and 0.93 * RHO < base < 1.05 * RHO  # smaller where the matter has expanded
     assert speed(hot) < 1e-4
 
 

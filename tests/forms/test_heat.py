@@ -362,7 +362,7 @@ def test_bodies_keep_their_energy_and_gain_entropy_in_both_solvers(kind, other):
             newton=nv.NewtonOptions(tolerance=tolerance),
         )
         before = run.fields["temperature"]
-        exact = 1e-12 if numerical else 1e-2  # bodies that share a cell have other pressures
+        exact = 1e-12 if numerical else 1e-2  # in a shared cell the pressure is another one
         assert [before(run.mesh(at, 0.3)) for at in (0.1, 0.9)] == pytest.approx([1.2, 1.2], rel=exact)
         ledger = run.run(0.1)
         dt = ledger.column("dt")
@@ -393,7 +393,7 @@ def test_a_body_that_is_heated_is_warmer_than_the_other():
     assert np.diff(energy(ledger)) == pytest.approx(0.05 * ledger.column("power_heat_source")[1:], rel=1e-9)
     theta = run.fields["temperature"]
     warmed = [theta(run.mesh(at, 0.5)) for at in (0.05, 0.95)]
-    assert warmed == pytest.approx([1.0, 1.1], rel=1e-3)  # fractions of cells that both meet in
+    assert warmed == pytest.approx([1.0, 1.1], rel=1e-3)  # fractions in cells that both bodies share
 
 
 @pytest.mark.parametrize("solver", ["coupled", "split"])

@@ -166,7 +166,7 @@ def check_against_stress(case: Case, values: dict) -> None:
     force, expected = block(step, force, "v"), block(step, expected, "v")
     assert np.abs(expected[free]).max() > 1e-2
     assert force[free] == pytest.approx(expected[free], abs=1e-12)
-    # on walls the pressure part of T pushes the wall, which B_h leaves out
+    # on walls the pressure part of T pushes the wall; B_h has no such term
     assert np.abs((force - expected)[~free]).max() > 1e-3
 
 

@@ -132,7 +132,7 @@ def test_a_lid_that_is_fast_in_a_corner_cell_is_reported_with_the_rate_there():
 
 def test_nothing_is_said_of_short_runs_slow_corners_and_divided_cells():
     mesh = structured_box((1, 1), (4, 4))
-    assert not warnings_of(cavity(mesh, 1.0), 0.1)  # less than e-fold
+    assert not warnings_of(cavity(mesh, 1.0), 0.1)  # the density grows by less than the factor e
     assert not warnings_of(cavity(mesh, 0.1 * 16 * x**2 * (1 - x) ** 2), 0.1)
     assert not warnings_of(cavity(split_corner_cells(mesh), 1.0), 0.3)
 

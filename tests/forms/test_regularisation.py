@@ -223,7 +223,7 @@ def test_the_trace_of_a_cut_off_density_has_one_upstream_side_a_facet(flow):
     model = nv.Model(material=MATERIALS["linear"], regularisation=law)
     step = Step(box((1, 1), maxh=2.0), model, nv.Discretisation(m=0))
     parts, inner = parts_of(step), facets_with_two_sides(step.mesh)
-    parts["rho"].Set(IfPos(y - x, 1.05, 1.3))  # on the first side, and on the second
+    parts["rho"].Set(IfPos(y - x, 1.05, 1.3))  # the densities of the first and the second side
     parts["v"].Set(flow * CF((x - 0.3, 0.3 - x)))
     parts["mean_flux"].vec.FV().NumPy()[inner] = flow * 2**0.5 * 0.2
     (term,) = (term for term in step.terms if isinstance(term, Continuity))

@@ -74,7 +74,7 @@ def test_heat_is_carried_through(solver):
     entropy = ledger.column("entropy")
     assert abs(np.diff(entropy) - supplied[1:]).max() < 1e-10 * abs(entropy).max()
     theta = run.fields["temperature"]
-    assert abs(Integrate(theta, run.mesh) - 330.0) < 0.3  # three times what was there has left
+    assert abs(Integrate(theta, run.mesh) - 330.0) < 0.3  # three times the first mass has left
 
 
 @pytest.mark.parametrize(
@@ -280,7 +280,7 @@ def light_and_stiff(walls, viscosity, dim=2, maxh=0.4, densities=(2.0, 0.5), loa
     return nv.Simulation(box((1,) * dim, maxh), model, walls=walls, discretisation=orders, **options)
 
 
-@pytest.mark.filterwarnings("ignore::ngvisco.run.body_tables.SmearedWarning")  # in cells of its size
+@pytest.mark.filterwarnings("ignore::ngvisco.run.body_tables.SmearedWarning")  # in cells of the body's size
 @pytest.mark.parametrize("solver", [by_ci("split"), "coupled"])
 def test_bodies_of_different_bulk_moduli_fly_out_through_a_window(solver):
     walls = {("left", "right"): nv.Open(backflow=False)}
@@ -291,7 +291,8 @@ def test_bodies_of_different_bulk_moduli_fly_out_through_a_window(solver):
     error = run.fields["velocity"] - CF((0.5, 0.0))
     assert Integrate(error * error, run.mesh) ** 0.5 < 1e-9
     mass = table.column("disc_mass")
-    assert 0.4 < mass[-1] / mass[0] < 0.6  # its centre is in the window; cells are of its size
+    # the body's centre is in the window, and cells are as large as the body
+    assert 0.4 < mass[-1] / mass[0] < 0.6
 
 
 def falls(dt, solver, densities):
@@ -607,7 +608,7 @@ def test_a_piston_all_around_a_disc_or_a_ball_widens_it(dim, scheme, solver):
     area = Integrate(CF(1.0), mesh, BND, definedon=region)
     moved, v = run.fields["displacement_wall"], run.fields["velocity"]
     mean = [Integrate(f * n, mesh, BND, definedon=region) / area for f in (moved, v)]
-    # the velocity is that of the middle of a step, or of its end
+    # the velocity belongs to the middle of a step, or to its end
     wanted = V * (end - dt / 2 if scheme == "backward-euler" else end)
     assert mean == pytest.approx([V * end**2 / 2, wanted], rel=1e-3)
     power = ledger.column("dt") * ledger.column("power_wall_wall")
@@ -642,7 +643,7 @@ def test_pistons_on_oblique_walls_have_each_the_power_of_their_own(velocities):
         initial=nv.Initial(velocity=(speed * along[0], speed * along[1])),
     )
     ledger = run.run(0.5)
-    force = 0.7 * (10 + 20 / 3) * 2e-3 * 0.5  # at the end; its mean over the step is half of it
+    force = 0.7 * (10 + 20 / 3) * 2e-3 * 0.5  # at the end of the step; the mean over the step is half
     for name, V in zip(names, velocities, strict=True):
         if V:
             assert ledger.column(f"power_wall_{name}")[-1] == pytest.approx(V * force / 2, rel=2e-3)

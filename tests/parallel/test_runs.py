@@ -131,7 +131,7 @@ def assert_same_ledger(one, several, spare=0):
         for name, value in row.items():
             size = energy if name.startswith("closure") else max(abs(value), 1e-3)
             size = 1.0 if name.startswith("defect_") else size  # differences of determinants about one
-            if "momentum" in name or name.startswith("impulse_"):  # as exact as the momentum is large
+            if "momentum" in name or name.startswith("impulse_"):  # exact relative to the momentum
                 size = max(size, row["momentum_size"])
             if name == "dissipation_creep":  # along the slopes of fractions, whose directions lose digits
                 size = max(size, row["stored"])
@@ -177,7 +177,7 @@ def test_ledgers_and_tables_are_those_of_one_process(group, ranks):
         spare = 2 if name == "split bodies" else 1 if "split" in name else 0
         assert_same_ledger(one["rows"], several["rows"], spare)
         assert_same_tables(one["tables"], several["tables"])
-        if name not in own.CASES:  # those cases take so few iterations that one more is a tenth
+        if name not in own.CASES:  # these cases take so few iterations that one more is a tenth of them
             assert several["linear"] <= 1.1 * one["linear"], name
         assert name not in ACTS or several["rows"][-1][ACTS[name]] > 0, name
 

@@ -442,7 +442,7 @@ def test_table_lists_every_material_with_a_label_of_the_paper():
 @pytest.mark.parametrize(
     ("energy", "passes"),
     [
-        (lambda J: J + 1 / J, True),  # 1/J is finite for J < 0 too, and not convex across
+        (lambda J: J + 1 / J, True),  # 1/J is finite also for J < 0, and is not convex across J = 0
         (lambda J: (J - 1) ** 2.0, True),
         (lambda J: 1 / J - J * J, False),  # for J > 1
     ],

@@ -201,7 +201,7 @@ def test_zaremba_jaumann_rate_is_objective() -> None:
     assert rates([SmallStrain()], E_star.ravel(), L_star, Pi_star).reshape(3, 3) == pytest.approx(
         expected, abs=1e-12
     )
-    # a rate without the spin is not objective: what the test above would see
+    # a control: a rate without the spin is not objective
     assert np.abs(expected - ((L_star + L_star.T) / 2 - Pi_star)).max() > 0.1
 
 

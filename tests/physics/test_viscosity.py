@@ -61,7 +61,7 @@ def test_isotropic_D_is_the_stokes_viscosity():
         assert value(getattr(law, name)(e, {})) == pytest.approx(
             value(getattr(plain, name)(e, {})), rel=1e-13
         )
-    # K_v + 4/3 G_v and G_v stand where the docstring says
+    # places of K_v + 4/3 G_v and of G_v as in the docstring
     voigt = np.array([[isotropic(3.0, 0.7)[*a, *b] for b in PAIRS] for a in PAIRS])
     assert voigt[0, 0] == pytest.approx(3 + 4 / 3 * 0.7) and voigt[3, 3] == pytest.approx(0.7)
     assert nv.LinearViscosity(D=voigt, notation="voigt").mandel == pytest.approx(law.mandel)
@@ -144,7 +144,7 @@ def test_activation_is_that_of_arrhenius_and_of_barus():
     factor = 2.0 / warm
     Pi = rule.rate(M, None, z)
     assert Pi.value == pytest.approx(factor * rule.rule.rate(M, None, z).value, rel=1e-13)
-    assert rule.force(Pi, z).value == pytest.approx(M.value, rel=1e-9)  # psi follows the factor
+    assert rule.force(Pi, z).value == pytest.approx(M.value, rel=1e-9)  # psi has the same factor
 
 
 @pytest.mark.parametrize("name", LAWS)

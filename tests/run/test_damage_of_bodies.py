@@ -115,7 +115,7 @@ def test_each_step_from_a_state_to_another_dissipates_at_every_point(mixture):
     before, after = respond(old), respond(now, np.where(lagged, old, now))
     distance = before.energy - after.energy - (after.slope * (old - now)).sum(axis=1)
     assert distance.min() > 0
-    # the control: with the present volumes in the damages' conjugates the sign is lost, and without the lag
+    # the control: the sign is lost with the present volumes in the damages' conjugates, and without the lag
     present = respond(now)
     of_present = before.energy - present.energy - (present.slope * (old - now)).sum(axis=1)
     assert of_present.min() < 0

@@ -94,9 +94,9 @@ def test_what_no_one_asked_for_is_by_B_for_constants_in_cells(name):
         for asked in "FB":
             by = nv.Model(material=OPEN[name](elastic_state=asked))
             assert names(by.at_order(m).material) == names(by.material)
-        made = model.at_order(m)  # a choice that was made stays, in other orders too
+        made = model.at_order(m)  # a choice stays, also with other orders
         assert names(made.at_order(0 if m else 1).material) == names(made.material)
-    # replaced parts do not close what is open
+    # replacing parts leaves an open choice open
     assert names(replace(model, loads=(nv.Gravity((0, -1)),)).at_order(0).material) != names(model.material)
 
 

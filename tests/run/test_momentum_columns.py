@@ -102,7 +102,7 @@ def test_momentum_changes_by_the_impulses_and_by_what_the_columns_say(between, s
     before = momenta(run)
     ledger = run.run(until=0.15)
     after = momenta(run)
-    # the ledger's momentum is that of other integrals, and its changes have names
+    # the ledger's momentum equals independent integrals, and columns name its changes
     np.testing.assert_allclose(of(ledger, "momentum")[[0, -1]], [before, after], rtol=1e-10, atol=1e-12)
     named = impulses(ledger) + of(ledger, "momentum_defect")
     np.testing.assert_allclose(after - before, named.sum(axis=0), rtol=1e-10, atol=1e-12)
@@ -141,7 +141,7 @@ def test_a_floor_bears_the_weight(as_bodies):
     by_wall = dict(zip(forces.columns, forces.rows[-1], strict=True))
     assert by_wall["bottom.force_2"] + by_wall["top.force_2"] == pytest.approx(-weight, rel=1e-6)
     assert ledger.column("impulse_walls_2")[-1] == pytest.approx(weight * 1.0, rel=1e-6)
-    # slip: as much pressure as tension, and no more than half of the weight at the floor, to 2 %
+    # on walls with slip, pressure and tension are equal, and at most half of the weight at the floor, to 2 %
     assert by_wall["bottom.force_2"] == pytest.approx(-weight / 2, rel=0.02)
 
 
@@ -160,7 +160,7 @@ def test_curved_walls_turn_a_body_by_friction_alone():
         about = ledger.column("angular_momentum")
         assert about[0] == pytest.approx(pi / 2, rel=5e-3)  # int rho r^2
         walls = ledger.column("angular_impulse_walls")
-        assert abs(walls).max() < 2e-4 * about[0]  # their pressure has no lever
+        assert abs(walls).max() < 2e-4 * about[0]  # the pressure of these walls has no lever
         if braked:  # 2 pi c R^3 omega dt, falling a little
             torque = -ledger.column(f"angular_impulse_friction_{name}")[1:] / (2 * pi * 0.5 * 0.02)
             assert (torque < 1.0).all() and (torque > 0.7).all()

@@ -125,7 +125,7 @@ def test_stresses_and_creep_rates_are_those_of_each_branch_alone():
     rate = at(run.fields["creep_rate_slow"]).reshape(-1, 3, 3)
     assert np.allclose(rate, 0.3 * size**2 * M, rtol=1e-6, atol=1e-9)
     spring = at(run.fields["B_spring"]).reshape(-1, 3, 3)
-    assert np.abs(spring - B).max() > 0.01  # one relaxes, the other does not
+    assert np.abs(spring - B).max() > 0.01  # one branch relaxes, the other does not
     chains = at(run.fields["B_chains"]).reshape(-1, 3, 3)
     shear = M + 2 * 1.0 * spring + 2 * 2.0 * chains  # the stress of all branches but for a pressure
     T = at(run.fields["cauchy_stress"]).reshape(-1, 3, 3)
@@ -253,7 +253,7 @@ def test_a_network_goes_on_over_meshes_that_follow_a_field():
     assert ledger.column("dissipation_creep_chains")[1:].min() > 0
     assert ledger.column("dissipation_creep_slow")[3] > 0  # the first step on the new mesh
     before, after = (Integrate(each.fields["plastic_strain_slow"], each.mesh) for each in (start, run))
-    assert after > before > 0  # the strain grows, and is kept by a change of the mesh
+    assert after > before > 0  # the strain grows, and a change of the mesh keeps it
 
 
 @pytest.mark.parametrize("name", WRONG)
@@ -331,7 +331,7 @@ def test_a_network_is_that_of_a_body_alone():
         for model in (nv.Model(material=made, viscosity=viscosity), nv.Model(bodies=bodies))
     )
     alone, of_body = (run.run(0.05) for run in runs)
-    for column in ("kinetic", "dissipation_creep_slow"):  # by J, and by n = 1/J: to the scheme's order
+    for column in ("kinetic", "dissipation_creep_slow"):  # J and n = 1/J agree to the scheme's order
         assert np.allclose(alone.column(column), of_body.column(column), rtol=1e-3), column
 
 

@@ -199,7 +199,7 @@ def test_a_body_that_dissolves_is_warned_of_once():
     with pytest.warns(nv.SmearedWarning, match=r"body 'e' is .* cells wide") as said:
         table._sample(blurred)
         table._sample(blurred)
-    assert len(said) == 1  # no warning names the rest, which has the same interface
+    assert len(said) == 1  # no warning names the remaining body, which has the same interface
 
 
 @pytest.mark.parametrize("slit", [0.1, 0.27, 0.4])

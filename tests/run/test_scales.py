@@ -169,8 +169,9 @@ def test_a_strip_is_as_long_as_it_is_between_walls_and_slow_where_inertia_has_no
     assert found.length == found.extent == pytest.approx(1.0) and found.is_slow
     assert found.advice == []
     followed = replace(found, dt=0.1 * found.passage, longest=0.1 * found.passage)
-    assert followed.advice and not followed.is_slow  # waves could be followed there
-    assert replace(followed, longest=found.dt).is_slow  # the first of steps that a run chooses says nothing
+    assert followed.advice and not followed.is_slow  # the steps could follow these waves
+    # the first step of a run that chooses its steps gives no advice
+    assert replace(followed, longest=found.dt).is_slow
 
 
 def test_the_weight_is_compared_with_the_modulus():

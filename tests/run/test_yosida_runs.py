@@ -68,7 +68,7 @@ def test_cauchy_stress_has_the_approximated_energy() -> None:
     """T is a part by F plus (J zeta_J + phi_eps) I: its spherical part minus that of the conjugates is
     phi_eps."""
     run = simulation(nv.Yosida(material=NEO_HOOKEAN, eps=0.02))
-    fields = run.fields  # asked for once: they follow the state
+    fields = run.fields  # obtained once, because the fields follow the state
     run.run(0.1)
     u = run.rothe_step.now
     z, zeta = u.z_tensors, u.zeta_tensors

@@ -70,7 +70,7 @@ def test_both_are_what_differences_tend_to(make, name, value, options):
     h = 1e-3 * value
     up, down = (measure(make(value + s * h, **options), UNTIL, OF) for s in (1, -1))
     assert np.allclose(tangent, (up - down) / (2 * h), rtol=3e-6, atol=0)
-    # 600 J of heat round the energies; the error grows like one over the spacing of differences (NOTES)
+    # 600 J of heat round the energies; the error grows like 1/spacing of the differences (NOTES)
     assert np.allclose(adjoint, tangent, rtol=3e-6 if make is heated else 1e-6, atol=0)
 
 

@@ -141,7 +141,7 @@ def test_the_resolvent_by_its_series_is_the_inverse(run, strain, monkeypatch):
     assert 0.01 < np.abs(expected - dz).max() < 2
     assert max(np.abs(found - expected).max() for found in (by_series, stored)) <= 3e-4
     partial = (np.concatenate(series) @ dz.reshape(len(series[0]), -1, 1)).reshape(dz.shape)
-    assert np.abs(by_series - partial).max() <= 3e-6  # each of its terms
+    assert np.abs(by_series - partial).max() <= 3e-6  # each term of the derivative
     assert np.abs(points.resolved(dz) - expected).max() <= 1e-12
 
 

@@ -128,7 +128,7 @@ def cancelling(size: float):
     return lambda u: (u - 1) + (size * (u + 1) - size * u - size)
 
 
-# the cancelling parts leave about size eps: above ten tolerances, below a hundred
+# the cancelling parts leave about size times eps: more than 10 tolerances, less than 100
 ROUNDED = {"tolerance": 1e-12, "equation": cancelling(1.5e4)}
 
 

@@ -250,7 +250,7 @@ def test_both_solvers_agree_on_a_curved_wall():
 def test_both_solvers_agree_with_two_levels_and_unknowns_beside_the_velocity(beside):
     mesh = box((1, 1), maxh=0.3) if beside == "a creep rate field" else disc(1.0, maxh=0.5)
     parts = {} if beside == "the stress of a curved wall" else PARTS["a creep rate field"]
-    # by default one of these steps is taken in halves: here Newton-Krylov takes over from farther away
+    # by default, one of these steps is taken in halves; here Newton-Krylov begins farther from the solution
     newton = nv.NewtonOptions(split=SplitOptions(direct_up_to=(0, 0), krylov_below=0.3))
     assert_both_agree(mesh, model(**parts), initial=nv.Initial(velocity=(-y, x)), newton=newton)
 

@@ -81,7 +81,7 @@ def assert_is_the_derivative(run, bound=1e-8):
 
 @pytest.mark.parametrize("name", [by_ci(n) if n in ("r = 3", "p = 2") else n for n in MECHANISMS])
 def test_derivatives_equal_differences_of_every_mechanism(name):
-    # a power of 1/2 is far from what differences take for smooth where grad rho is small
+    # where grad rho is small, a power of 1/2 is not smooth enough for differences
     assert_is_the_derivative(simulation(**MECHANISMS[name]), bound=1e-6 if name == "r = 3" else 1e-8)
 
 

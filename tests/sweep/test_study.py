@@ -144,7 +144,8 @@ def test_a_run_of_a_study_ends_with_its_standard_input(case_file, tmp_path):
     process = begun(command, out / "ledger.csv", stdin=subprocess.PIPE)
     process.communicate(timeout=60)
     assert process.returncode == 143 and "stopped on request" in (out / "log.txt").read_text()
-    words[words.index("time.until=40")] = "time.until=0.02"  # to the end, with the input open: nothing waits
+    # this run reaches its end although its input is open
+    words[words.index("time.until=40")] = "time.until=0.02"
     process = subprocess.Popen(
         [*command[:3], *words, "--force"], stdin=subprocess.PIPE, stderr=subprocess.PIPE
     )

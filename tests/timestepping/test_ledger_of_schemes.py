@@ -104,7 +104,7 @@ _DIAGONAL = (3 + 3**0.5) / 6
 OF_ONES_OWN = {
     # Crouzeix' of order three is neither one-leg nor stiffly accurate
     "Crouzeix": TimeScheme("crouzeix", ((_DIAGONAL, 0.0), (1 - 2 * _DIAGONAL, _DIAGONAL)), (0.5, 0.5)),
-    # two Rothe steps to one time: no rate follows from their solutions, from which is not extrapolated
+    # two Rothe steps end at one time: their solutions give no rate, and the run does not extrapolate them
     "twins": TimeScheme("twins", ((0.5, 0.0), (0.0, 0.5)), (0.5, 0.5)),
 }
 YOSIDA = {"material": nv.Yosida(material=NEO_HOOKEAN, eps=1e-3), "solver": "coupled"}

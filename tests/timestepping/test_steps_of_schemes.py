@@ -215,7 +215,7 @@ def test_a_relaxed_run_dissipates_nothing_numerically():
     ledger = run.run(0.1, stops=[0.07])
     remainder = sum(ledger.column(name) for name in NUMERICAL)
     energy = ledger.column("kinetic")[0]
-    # a difference of stored energies, of 15 J: five roundings of these
+    # a difference of stored energies of 15 J: five roundings of 15 J
     assert np.abs(remainder).max() <= 1e-15 * ledger.column("stored")[0]
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-12
     assert {0.07, 0.1} <= set(ledger.column("time"))

@@ -111,8 +111,8 @@ def model(
 ) -> nv.Model:
     """Model with creep, gravity and viscosity, with p hyperviscosity, and delta- and epsilon-terms by choice.
 
-    With nu > 0 creep, by one of ``RULES``, has its gradient term (q = 4), and its rate is an unknown field.
-    The material with heat has conduction.
+    With nu > 0, creep by one of ``RULES`` has the gradient term (q = 4), and the creep rate is an unknown
+    field. The material with heat has conduction.
     """
     law = nv.Regularisation(
         delta_density=DELTA if delta else 0.0, delta_fields=DELTA_FIELDS if delta else 0.0, epsilon=EPSILON

@@ -1,7 +1,7 @@
 """Residuals of the strong equations without NGSolve, by finite differences of the exact fields in numpy.
 
-They check ``manufactured.Sources`` independently by textbook formulas, and share no form and no derivative
-with it.
+The residuals check ``manufactured.Sources`` by textbook formulas, and share no form and no derivative with
+it.
 """
 
 from collections.abc import Callable
@@ -36,7 +36,7 @@ def difference(f: ArrayFunction, j: int) -> ArrayFunction:
 class Coefficients:
     """Material constants by name, for the formulas in numpy.
 
-    A, n and sigma are constants of ``FORCES``; nu is the factor of the creep rate's 4-Laplacian (Pi = R M if
+    A, n and sigma are constants of ``FORCES``. nu is the factor of the creep rate's 4-Laplacian (Pi = R M if
     it is 0), g the second component of gravity, delta the factor of the density's 4-Laplacian, damping is
     epsilon in epsilon |v|^2 v, kappa in the conductivity kappa theta^1.5; the entropy is in units of c.
     """

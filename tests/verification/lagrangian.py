@@ -2,10 +2,10 @@
 disc.
 
 By symmetry the disc is one of two discs that meet.  The disc is a ``LagrangianSolid`` of order 2, on curved
-triangles of the half above the line of flight, neo-Hookean in plane strain.
-The disc is in empty space, or in a weightless fluid in a closed box, with one pressure that follows from the
-fluid's area and U(J) = K/2 (J - 1)^2/J.  The wall pushes with kappa times the depth by which a point of the
-rim is beyond it; each step conserves the sum of this spring energy and the disc's.
+triangles of the half above the line of flight, neo-Hookean in plane strain. The disc is in empty space, or in
+a weightless fluid in a closed box, with one pressure that follows from the fluid's area and U(J) = K/2 (J -
+1)^2/J.  The wall pushes a point of the rim with kappa times the depth of the point beyond the wall. Each step
+conserves the sum of this spring energy and the disc's energy.
 """
 
 from __future__ import annotations
@@ -100,7 +100,8 @@ class ThrownDisc(LagrangianSolid):
             F = self._mean_F(u)
             form += self._pressure * Det(F) * InnerProduct(Inv(F).trans, Grad(w)) * dx(bonus_intorder=4)
         before, after = self._beyond(self.u), self._beyond(u)
-        moved = after * after - before * before  # over 2 (u - u_old): stored energy is exactly the work
+        # divided by 2 (u - u_old), so that the work is exactly the stored energy
+        moved = after * after - before * before
         far = (u[0] - self.u[0]) * (u[0] - self.u[0]) - _STILL**2
         push = self._stiffness * IfPos(far, 0.5 * moved / (u[0] - self.u[0]), 0.5 * (before + after))
         form += (push * w[0]).Compile() * ds("rim", bonus_intorder=6)

@@ -2,10 +2,10 @@
 
 The fields are written once, for coefficient functions and for numpy arrays alike.  They meet the natural
 conditions of the walls of the unit box: v.n = 0, no tangential traction, hess v:(n x n) = 0, (n . grad) Pi =
-0.  They do not meet the conditions of the delta-terms; ``Sources`` supplies these terms' fluxes through
-   walls.
-With f = sin(pi x) and g = 1 - 2S, S the smooth step of degree 7 (g', g'', g''' vanish at 0 and 1),
-v_i = c_i(t) f(x_i) prod_{j != i} g(x_j), and shear components of E and F vanish where they must.
+0.  The fields do not meet the conditions of the delta-terms. ``Sources`` supplies the fluxes of the
+delta-terms through walls. With f = sin(pi x) and g = 1 - 2S, S the smooth step of degree 7 (g', g'', g'''
+vanish at 0 and 1), v_i = c_i(t) f(x_i) prod_{j != i} g(x_j), and shear components of E and F vanish where
+they must.
 """
 
 from collections.abc import Callable, Sequence
@@ -145,7 +145,7 @@ EXACT: dict[str, Field] = {
 class Exact:
     """The exact fields at a time, as coefficient functions; in the unit ball if ``curved``.
 
-    They are v and (grad v)_ij = d_j v_i; rho, with bodies the sum over their amounts; ``values`` of the
+    The fields are v and (grad v)_ij = d_j v_i; rho, with bodies the sum over their amounts; ``values`` of the
     variables by name, and z, the components as stored; ``conjugates``, the energy's derivatives; ``stress``,
     the Cauchy stress, 3x3, Pa; Pi, the creep rate as an unknown field.  With a Yosida approximation the exact
     fields are the minimisers y: z = y + eps phi'(y), and the conjugates at z are phi'(y).

@@ -1,8 +1,8 @@
 """The report of all results, in Markdown with pictures beside it, and the kept report.
 
-In the kept report new results replace the rows of their cases, and each row has its commit: a whole report
-takes longer than a change can wait.  It leaves out cases that no longer exist, and lists cases that are
-missing.
+In the kept report, new results replace the rows of their cases, and each row has its commit, because a whole
+report takes longer than a change can wait.  It leaves out cases that no longer exist, and lists cases that
+are missing.
 """
 
 import io
@@ -185,7 +185,7 @@ def put_into(directory: Path, source: Path, cases: Sequence[Case]) -> Path:
 
     Raises VerificationError if a report is missing, or a case of the new report ended in an error.
     """
-    of = commit()  # before new pictures make files differ
+    of = commit()  # asked before new pictures change files
     path, report = directory / "report.md", source / "report.md"
     if absent := [str(one) for one in (path, report) if not one.is_file()]:
         raise VerificationError(f"{absent[0]}: no report")

@@ -37,7 +37,8 @@ def material(kind: str) -> nv.Material:
 
 
 def elastic(kind: str, bulk: float, shear: float) -> nv.Material:
-    """A material by kind, "finite-b" by B = F F^T, with usual moduli, Pa; the neo-Hookean G_e is half."""
+    """A material by kind ("finite-b" by B = F F^T), with the usual moduli, Pa; the neo-Hookean G_e is half of
+    the shear modulus."""
     if kind == "linearised":
         return nv.LinearElastic(K_e=bulk, G_e=shear)
     state: Literal["F", "B"] = "B" if kind == "finite-b" else "F"

@@ -18,8 +18,8 @@ DISC = Disc(radius=0.21, density=1.0, bulk=2.0, shear=1.0, viscosity=0.002)
 def test_a_disc_breathes_at_its_own_frequency_and_decays(damping: float):
     """The mode u_r = J_1(k r), plane strain, free at r = R, has (lambda + 2 mu) kR J_0(kR) = 2 mu J_1(kR).
 
-    With K = G and both viscosities eta, the viscous stress is, linearised, eta/G d/dt of the elastic stress,
-    and the mode is an oscillator with the decay omega^2 eta/(2 G).
+    With K = G and both viscosities eta, the linearised viscous stress is eta/G times the time derivative of
+    the elastic stress. The mode is therefore an oscillator with the decay omega^2 eta/(2 G).
     """
     bulk = shear = 1.0
     lame, density, radius = bulk - 2 / 3 * shear, 1.5, 0.21

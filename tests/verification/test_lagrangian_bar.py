@@ -11,7 +11,7 @@ COPPER = Metal(density=8.93, bulk=130.0, shear=43.3, yield_stress=0.4, hardening
 
 
 def energy(bar: ThrownBar) -> float:
-    """All of a bar's energy, stored, of motion and dissipated."""
+    """The sum of a bar's stored, kinetic and dissipated energy."""
     return bar.kinetic + bar.stored + bar.worked + bar.damped
 
 

@@ -20,8 +20,8 @@ K, G = 10.0, 5.0
 @pytest.mark.ci
 @pytest.mark.parametrize("kind", ["pressure", "shear"])
 def test_a_plane_wave_leaves_through_a_matched_wall(kind):
-    """At most 1e-4 of the energy, 1 % of the amplitude, returns; with Z = rho c/2 a third of the amplitude
-    returns."""
+    """At most 1e-4 of the energy, that is, 1 % of the amplitude, returns. With Z = rho c/2, a third of the
+    amplitude returns."""
     modulus = {"pressure": K + 4 / 3 * G, "shear": G}[kind]
     c, z = modulus**0.5, {"pressure": (1.0, 0.0), "shear": (0.0, 1.0)}[kind]
     pulse = 1e-5 * exp(-(((x - 0.5) / 0.18) ** 2))
@@ -51,7 +51,7 @@ def test_a_plane_wave_leaves_through_a_matched_wall(kind):
 def test_a_body_under_a_given_stress_has_the_stretch_of_the_closed_form(sides):
     """A bar in uniaxial strain, a block pulled on two sides: W = J phi = K/2 (J - 1)^2 + G |F|^2/J^{2/3}.
 
-    The difference is the scheme's error in time, by which J and H do not belong to one F.
+    By the scheme's error in time, J and H do not belong to one F, which causes the difference.
     """
 
     def stress(stretch):
@@ -108,7 +108,8 @@ def test_a_spring_s_energy_that_is_left_out_is_seen_in_the_closure(monkeypatch):
 
 
 def test_a_spring_that_starts_strained_pulls():
-    """w is projected on the wall; the spring at once stores k w^2/2 and pulls by k w; a transfer keeps w."""
+    """The start value of w is projected on the wall. The spring stores k w^2/2 from the start and pulls by k
+    w. A transfer keeps w."""
     wall = nv.Open(density=1.0, stiffness=(20.0, 0.0))
     run = nv.Simulation(
         box((1, 1), 1.0),
@@ -195,7 +196,8 @@ def _carried_strain(first, second):
 @pytest.mark.long
 @pytest.mark.ci
 def test_a_step_of_the_strain_is_carried_out_without_a_reflection():
-    """A part is stretched across the stream, and along it so that no stress acts there: v = (1, 0) is exact.
+    """A part is stretched across the stream, and also along the stream, so that no stress acts along the
+    stream. Therefore v = (1, 0) is exact.
 
     The error is at most 1 % of the velocity c times the strain, which a stress of this size would give.
     Without the stretch along the stream the stress is released, and the error is five times as large.

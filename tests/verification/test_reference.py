@@ -77,8 +77,8 @@ def test_creeping_rock_in_si_units_keeps_its_ledger(kind: str) -> None:
 
 
 def test_the_theory_of_necks_has_the_limits_that_are_known() -> None:
-    """Limits: a thin layer without a medium, which for n = 1 does not neck; folds of stiff layers (Biot
-    1961)."""
+    """The limits are a thin layer without a medium, which does not neck for n = 1, and folds of stiff layers
+    (Biot 1961)."""
     for n in (1.0, 3.0, 10.0):
         assert growth(n, 1e7, 0.01, 800.0) == pytest.approx(n - 1, abs=2e-3)
     ratio, waves = 1e4, np.geomspace(0.05, 0.14, 40)

@@ -63,7 +63,7 @@ def test_cases_that_were_run_again_take_their_places_in_the_kept_report(cases, t
     cases += [case("one", 0.5), case("gone", 0.5), case("two", 0.25)]
     assert main(["-o", str(kept)]) == DONE
     cases[:] = [case("two", 7.5), case("later", 0.5), case("one", 0.5)]
-    for name in ("aaa", "bbb"):  # the second time the rows have their own commits
+    for name in ("aaa", "bbb"):  # at the second merge, the rows have their own commits
         monkeypatch.setattr("tests.verification.report.commit", lambda name=name: name)
         assert main(["two", "-o", str(new / name), "--into", str(kept)]) == FAILED
     text = (kept / "report.md").read_text()
@@ -131,8 +131,7 @@ def test_case_is_declared_by_a_text_above_the_function_that_measures_it():
 
 
 def test_closure_and_drift_are_those_of_all_runs_of_a_case(monkeypatch):
-    """Runs that the case drops count too; it is an error if a case has no run, because then it has no
-    closure."""
+    """Runs that the case drops count too. A case without a run is an error, because it has no closure."""
     monkeypatch.setattr(
         Ledger, "record", lambda ledger, off: {"closure_relative": -off, "mass_drift": off / 2}
     )

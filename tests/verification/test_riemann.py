@@ -7,7 +7,8 @@ from tests.verification.cases.riemann import SOUND, solved, star_of_expansion, s
 
 
 def test_weak_waves_are_acoustic():
-    """Both star states are 1 -+ U/c to first order; the tolerance is larger than terms of second order."""
+    """Both star states are 1 -+ U/c to first order. The tolerance is larger than the terms of second
+    order."""
     U = 1e-4 * SOUND
     assert star_of_impact(U) == pytest.approx(1 - 1e-4, abs=1e-7)
     assert star_of_expansion(U) == pytest.approx(1 + 1e-4, abs=1e-7)
@@ -21,4 +22,4 @@ def test_star_states_of_impact_and_expansion():
     assert np.abs(run.ledger.column("closure_relative")).max() <= 1e-10
     for star in stars(run, 0.2):
         assert max(star.errors.values()) < 0.02
-        assert 1e-4 < abs(star.drift) < 0.02  # an error in time, which midpoint does not make
+        assert 1e-4 < abs(star.drift) < 0.02  # an error in time, absent by the midpoint rule

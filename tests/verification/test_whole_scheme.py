@@ -41,8 +41,8 @@ def test_norms_are_those_of_the_ledger_and_of_the_fields(kind):
 
 @pytest.mark.parametrize("tau", [1e-10, 1e-8, 1e-2])
 def test_both_solvers_find_the_creep_rate_in_short_and_in_long_steps(tau):
-    """In a step of 1e-8 s the strain hardly depends on Pi: if only the strain's error is controlled, Pi is
-    wrong by 4 %."""
+    """In a step of 1e-8 s, the strain hardly depends on Pi. If only the error of the strain were controlled,
+    Pi would be wrong by 4 %."""
     rates = []
     for solver in ("coupled", "split"):
         strain = (0.5 - x * x - y * y) * CF((1.0, 0.5, 0.0, 0.5, -0.4, 0.0, 0.0, 0.0, -0.6))

@@ -1,10 +1,10 @@
 """A soft cylinder that lies on a rigid plane: Hertz's line contact through a light gas.
 
-No code treats contact: the gas between the body and the wall is pressed together until it bears the
-body. A cylinder of radius R with the load W per length touches a plane in a strip of half-width
-a = sqrt(4 W R/(pi E')), E' = E/(1 - nu^2), under the pressure p = 2 W/(pi a) sqrt(1 - (x/a)^2) (Hertz 1881).
-The gap is x^2/(2 R) before the contact, and a cell that the surface crosses bears a part of the load: the
-cells at the wall have to be lower than the gap at x = a, R (a/R)^2/2.
+No code treats contact: the gas between the body and the wall is pressed together until it bears the body. A
+cylinder of radius R with the load W per length touches a plane in a strip of half-width a = sqrt(4 W R/(pi
+E')), E' = E/(1 - nu^2), under the pressure p = 2 W/(pi a) sqrt(1 - (x/a)^2) (Hertz 1881). Before the contact,
+the gap is x^2/(2 R). A cell that the surface crosses bears a part of the load. Therefore the cells at the
+wall have to be lower than the gap at x = a, R (a/R)^2/2.
 """
 
 import math

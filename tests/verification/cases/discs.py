@@ -185,8 +185,9 @@ def quarter(
 def mixed(run: nv.Simulation, body: str) -> float:
     """The energy of shear that belongs to the size of a body's X alone, J/m.
 
-    It is least for the given det X. A deformation keeps det X = n^3, where it vanishes: only averages of
-    X of different strains have it, and no motion gives it back."""
+    It is the least energy of shear for the given det X. A deformation keeps det X = n^3, for which this
+    energy vanishes. Only averages of X of different strains have such an energy, and no motion gives it
+    back."""
     material, z = run.model.material, run.rothe_step.now.z_tensors
     assert isinstance(material, Mixture)
     size = Det(z[material.contents(body)[0].name])

@@ -1,9 +1,9 @@
 """A copper bar thrown at a rigid wall (Taylor 1948): its length, its foot, and the balance of its energy.
 
-Units are mm, us and GPa, so that 1 g/cm^3 is the unit of density. The bar is surrounded by a light fluid
-with the bar's volumetric energy, because then the common pressure of bodies has a closed form. A light fluid
-gives way like air, although it keeps its volume. The cells must not lock: triangles with velocities of order
-one and one dilatation each lock if a rectangle has two of them, and do not lock if it has four that meet in
+Units are mm, us and GPa, so that 1 g/cm^3 is the unit of density. The bar is surrounded by a light fluid with
+the bar's volumetric energy, because then the common pressure of bodies has a closed form. A light fluid gives
+way like air, although it keeps its volume. The cells must not lock. Triangles with velocities of order one
+and one dilatation lock if a rectangle has two of them, and do not lock if a rectangle has four that meet in
 its middle.
 """
 

@@ -62,7 +62,7 @@ class Test:
 def carried(test: Test, mesh: Mesh, m: int, carrier: Carrier) -> tuple[float, float, float, float, float]:
     """Errors of a body after its flow, on cells of ``MAXH``; each step ends with the limiter.
 
-    They are the L1 distance of the fraction from the exact one, over the body's area; the width of the
+    The errors are the L1 distance of the fraction from the exact one, over the body's area; the width of the
     interface in cells, from the area with fractions of 0.05 to 0.95; the fraction's least and largest value;
     and the relative change of the area.
     """

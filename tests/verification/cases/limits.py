@@ -193,8 +193,8 @@ def delta_terms(run: nv.Simulation) -> Callable[[], np.ndarray]:
     """Make a function that returns norms of the delta-terms in the present state.
 
     They are the L2 norms of div(delta |grad rho|^{r-2} grad rho) and of delta Laplace z, and the L^{r'} norm
-    of the compensating force delta |grad rho|^{r-2} (grad v) grad rho.  The first two are computed as in the
-    scheme, from their Riesz representatives in the spaces of rho and z.
+    of the compensating force delta |grad rho|^{r-2} (grad v) grad rho.  Both L2 norms are computed as in the
+    scheme, from Riesz representatives in the spaces of rho and z.
     """
     step, law, u = run.rothe_step, run.model.regularisation, run.rothe_step.now
     assert law is not None

@@ -290,8 +290,8 @@ def radial_creep(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Nodes r and values a(r) of Pi = a(r) D in the unit disc or ball for a driving stress M = m(r) D.
 
-    a minimises int (G_m a^2/2 + nu |a'|^q/q - m a) r^{d-1} dr. It is computed with linear elements and a
-    damped Newton iteration in NumPy, independently of the package's forms and spaces.
+    a minimises int (G_m a^2/2 + nu |a'|^q/q - m a) r^{d-1} dr. The minimiser is computed with linear elements
+    and a damped Newton iteration in NumPy, independently of the package's forms and spaces.
     """
     points, weights = np.polynomial.legendre.leggauss(4)
     r, h, share = np.linspace(0.0, 1.0, intervals + 1), 1 / intervals, 0.5 * (points + 1)

@@ -168,8 +168,8 @@ off its curve by Basilisk's authors (lid-oldroydb.kinetic), whose most is 0.0178
 
 
 def _under_lid(mesh: Mesh) -> nv.Simulation:
-    """Fattal and Kupferman's cavity (2005) at Wi = 1 and Re = 0.01, with chains in half of the viscosity of
-    1 Pa s."""
+    """Fattal and Kupferman's cavity (2005) at Wi = 1 and Re = 0.01, where chains cause half of the viscosity
+    of 1 Pa s."""
     started = 2 - 2 / (1 + exp(16 * (nv.time - 0.5)))  # 1 + tanh(8 (t - 1/2))
     walls: Conditions = {
         "top": nv.PrescribedTangential((8 * started * (x * (1 - x)) ** 2, 0.0)),

@@ -1,6 +1,6 @@
 """Bodies of revolution: the radial modes of a free ball on a mesh of its meridian's half disc.
 
-The displacement of nS0 is j_1(k r) along the radius, k = omega/c_p, with no traction on r = 1:
+The mode nS0 has the displacement j_1(k r) along the radius, with k = omega/c_p. No traction on r = 1 gives
 tan k = k/(1 - (c_p/c_s)^2 k^2/4) (Lamb 1882).  At the axis v_r/r is a third of the dilatation.
 """
 

@@ -65,8 +65,8 @@ def attempt(kind: str, stiffness: float, ratio: float, viscosity: float, tau: fl
     """Counts for the steps of one configuration: steps tried, solved at the first attempt, and solved;
     iterations.
 
-    The largest closure and Courant number are kept too.  After a step without a solution later steps count
-    as unsolved."""
+    The largest closure and Courant number are kept too.  After a step without a solution, all later steps
+    count as unsolved."""
     run = block(
         kind,
         tau,

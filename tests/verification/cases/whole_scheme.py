@@ -301,9 +301,9 @@ def fields(run: Simulation) -> dict[str, CoefficientFunction]:
     """Fields: v, rho, z, p, p x v, slopes of v, rho, z, the Cauchy stress; at finite strain Pi and Mandel's
     stress.
 
-    The second gradient of v is the one that the scheme recovers (FORMULATION.md, Section 5).
-    The energy in the stress is projected in every run, as for a Yosida approximation, which has values at the
-    quadrature points only: otherwise the projection would contribute to the distance from the limit.
+    The second gradient of v is the one that the scheme recovers (FORMULATION.md, Section 5). In every run,
+    the energy in the stress is projected, as the energy of a Yosida approximation is, which has values at the
+    quadrature points only. Otherwise the projection would contribute to the distance from the limit.
     """
     step = run.rothe_step
     u, energy = step.now, GridFunction(L2(run.mesh, order=step.discretisation.m))

@@ -218,9 +218,9 @@ K_PLATE, G_PLATE, YEAR = 1e11, 5e10, 3.15576e7
 def _plate(eta: float, times: np.ndarray) -> np.ndarray:
     """Heights of the lower and upper face at the load's crest, over the load, m/Pa, at times in years.
 
-    Loads s cos(q x) on both faces of a layer move them by C a s, loads +-s cos(q x) by C c s (Airy 1863),
-    where 1/C is the modulus of plane strain. G is the modulus of Maxwell's body, in a Laplace transform with
-    times in relaxation times.
+    Loads s cos(q x) on both faces of a layer move the faces by C a s, and loads +-s cos(q x) move them by C c
+    s (Airy 1863), where 1/C is the modulus of plane strain. In the Laplace transform, whose unit of time is
+    the relaxation time, G is the modulus of Maxwell's body.
     """
     q, height = np.pi / PLATE[0], PLATE[1]
     a = 2 / q * (np.cosh(q * height) - 1) / (np.sinh(q * height) + q * height)
