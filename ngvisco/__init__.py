@@ -108,28 +108,32 @@ print_own()
 # imported after geometries, which the catalogue of case files lists
 from ngvisco.case import Case, CaseError, RunDirectoryError, load, load_case  # noqa: E402
 
-__all__ = ["Case", "load", "load_case"]
-__all__ += ["Body", "Diffusion", "Heat", "Material", "Model", "Parameter", "Regularisation"]
-__all__ += ["Activated", "ActivatedViscosity", "Carreau", "Cross", "HyperViscosity", "LinearViscosity"]
-__all__ += ["WLF", "PowerLaw", "StokesViscosity", "Viscosity"]
-__all__ += ["ConvexityReport", "IsotropyReport", "check_convexity", "check_isotropy"]
-__all__ += ["BodyForce", "CentralGravity", "Gravity", "pulse", "step", "table", "time"]
-__all__ += ["Inflow", "NavierFriction", "NoSlip", "Open", "Slip", "Traction"]
-__all__ += ["PrescribedNormal", "PrescribedTangential", "WallExchange", "WallHeat"]
-__all__ += ["Ball", "Block", "ClosedSurface", "HalfSpace", "Image", "Polygon", "Shape", "Subdomain"]
-__all__ += ["Entry", "Integrand", "PointTerm"]
-__all__ += ["Discretisation", "Initial", "function_field", "grid_field"]
-__all__ += ["SCHEMES", "AdaptiveSteps", "NewtonOptions", "Rejection", "TimeScheme", "TimeSteps"]
-__all__ += ["Observer", "Refinement", "Simulation", "Transfer", "resume_changed", "run_refined", "transfer"]
-__all__ += ["Bodies", "Checkpoints", "Contours", "Integrals", "LedgerCSV", "LineSamples"]
-__all__ += ["NotebookProgress", "Probes", "Progress", "VTKSeries", "WallForces"]
-__all__ += ["plot_energies", "plot_fields", "plot_schemes", "read_ledger", "record"]
-__all__ += ["Fit", "Gradient", "Misfit", "fit", "gradient"]
-__all__ += ["CaseError", "CheckpointError", "DataError", "InitialDataError", "MeshError"]
-__all__ += ["NgviscoError", "NotANumberError", "ParameterError"]
-__all__ += ["RunDirectoryError", "StepError", "StopRequested", "UnknownNameError"]
-__all__ += ["ClosureWarning", "ConvexityWarning", "CreepPowerWarning", "DamageWarning", "DefectWarning"]
-__all__ += ["DissipationWarning", "EntropyWarning", "InflowWarning", "InputWarning"]
-__all__ += ["MomentumWarning", "NgviscoWarning", "SelfContactWarning", "SmearedWarning"]
+# fmt: off
+__all__ = [  # noqa: RUF022 (by subject)
+    "Case", "load", "load_case",
+    "Body", "Diffusion", "Heat", "Material", "Model", "Parameter", "Regularisation",
+    "Activated", "ActivatedViscosity", "Carreau", "Cross", "HyperViscosity", "LinearViscosity",
+    "WLF", "PowerLaw", "StokesViscosity", "Viscosity",
+    "ConvexityReport", "IsotropyReport", "check_convexity", "check_isotropy",
+    "BodyForce", "CentralGravity", "Gravity", "pulse", "step", "table", "time",
+    "Inflow", "NavierFriction", "NoSlip", "Open", "Slip", "Traction",
+    "PrescribedNormal", "PrescribedTangential", "WallExchange", "WallHeat",
+    "Ball", "Block", "ClosedSurface", "HalfSpace", "Image", "Polygon", "Shape", "Subdomain",
+    "Entry", "Integrand", "PointTerm",
+    "Discretisation", "Initial", "function_field", "grid_field",
+    "SCHEMES", "AdaptiveSteps", "NewtonOptions", "Rejection", "TimeScheme", "TimeSteps",
+    "Observer", "Refinement", "Simulation", "Transfer", "resume_changed", "run_refined", "transfer",
+    "Bodies", "Checkpoints", "Contours", "Integrals", "LedgerCSV", "LineSamples",
+    "NotebookProgress", "Probes", "Progress", "VTKSeries", "WallForces",
+    "plot_energies", "plot_fields", "plot_schemes", "read_ledger", "record",
+    "Fit", "Gradient", "Misfit", "fit", "gradient",
+    "CaseError", "CheckpointError", "DataError", "InitialDataError", "MeshError",
+    "NgviscoError", "NotANumberError", "ParameterError",
+    "RunDirectoryError", "StepError", "StopRequested", "UnknownNameError",
+    "ClosureWarning", "ConvexityWarning", "CreepPowerWarning", "DamageWarning", "DefectWarning",
+    "DissipationWarning", "EntropyWarning", "InflowWarning", "InputWarning",
+    "MomentumWarning", "NgviscoWarning", "SelfContactWarning", "SmearedWarning",
+]
+# fmt: on
 __all__ += flow_rules.__all__
 __all__ += materials.__all__

@@ -188,8 +188,13 @@ def sweep(options: argparse.Namespace) -> int:
         streams.write(f"{len(study.outcomes)} runs{finished}\n")
     stop = threading.Event()
     with Stopping(stop.set) as signals:
-        given = {name: getattr(options, name) for name in ("workers", "threads", "scheduler")}
-        outcomes = study.run(**given, report=report, stop=stop)
+        outcomes = study.run(
+            workers=options.workers,
+            threads=options.threads,
+            scheduler=options.scheduler,
+            report=report,
+            stop=stop,
+        )
     return _close_study(study, outcomes, signals.received)
 
 

@@ -367,8 +367,10 @@ class Bounds:
         if not self._ranks.any(kept.any()):
             return None
         inside = kept[owner]
-        of_cells = cells[kept], broken[kept], required[kept], means[kept], least[kept]
-        return _Outside(*of_cells, points[inside], (np.cumsum(kept) - 1)[owner[inside]])
+        owner = (np.cumsum(kept) - 1)[owner[inside]]
+        return _Outside(
+            cells[kept], broken[kept], required[kept], means[kept], least[kept], points[inside], owner
+        )
 
     def _required(self, count: int, points: np.ndarray, owner: np.ndarray) -> np.ndarray:
         """Mask of the bounds that count in each cell, (cells, bounds): bounds of variables with phi'_z = 0 do

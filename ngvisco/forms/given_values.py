@@ -123,8 +123,8 @@ def temperature_for(
     elif (thermal := part_of(material, Thermal)) is not None:
         reference = thermal.theta_R
     else:
-        known = (", since a temperature determines the entropy only for ", call("Thermal", material=...))
-        raise ParameterError(f"{owner}.values", "no entropy", f"a value of {entropy.name!r}", *known)
+        why = Words(", since a temperature determines the entropy only for ", call("Thermal", material=...))
+        raise ParameterError(f"{owner}.values", "no entropy", f"a value of {entropy.name!r}", why)
     if temperature is None and reference is None:
         expected = "a temperature, since the reference temperatures theta_R differ from body to body"
         raise ParameterError(field, None, expected)

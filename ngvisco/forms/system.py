@@ -251,8 +251,15 @@ class Step:
             *source_terms,
         )
         self.point_terms, self.sources = point_terms(self.terms), sources
-        known = mesh, model.material, self.discretisation, self.point_terms, self.walls.dirichlet
-        self.layout = StepLayout(*known, periodic=bool(self.walls.periodic), symmetry=of_mesh)
+        self.layout = StepLayout(
+            mesh,
+            model.material,
+            self.discretisation,
+            self.point_terms,
+            self.walls.dirichlet,
+            periodic=bool(self.walls.periodic),
+            symmetry=of_mesh,
+        )
         require_symmetry(self.layout.symmetry, self.walls, model, self.point_terms)
         self.state = GridFunction(self.layout.space, name="state")
         self.state_old = GridFunction(self.layout.space, name="state_old")
@@ -268,8 +275,9 @@ class Step:
         if response is not None:
             self.energy = PointwiseEnergy(model.material, response, self.quadrature, self.now, m)
         self.momentum_old, self._momentum = (self.quadrature.vectors(mesh.dim) for _ in range(2))
-        of_step = self.old, self.energy, self.momentum_old, self.quadrature.volume_degree, self.passages
-        self.context = self.layout.context = Context(mesh, model, *of_step)
+        degree = self.quadrature.volume_degree
+        context = Context(mesh, model, self.old, self.energy, self.momentum_old, degree, self.passages)
+        self.context = self.layout.context = context
         self.context.terms = self.terms
         self._recovered = slopes_of_interfaces(model, self.layout, self.context, self.quadrature)
         self.context.recovered_slopes |= {at: slope.target for at, slope in self._recovered.items()}

@@ -429,8 +429,10 @@ class Mixture(Material):
         names = [body.name for body in self.bodies]
         shears = EnergyPart(shear, self.variables, self.linear_in_shears)
         volumetric = [EnergyPart(partial(self.volumetric, name), of_volume) for name in names]
-        known = self.parameters, self.heat, self.damages, self.driving
-        return InEquilibrium(self.states(dim), names, shears, volumetric, *known)
+        states = self.states(dim)
+        return InEquilibrium(
+            states, names, shears, volumetric, self.parameters, self.heat, self.damages, self.driving
+        )
 
 
 def _with_own_names(body: Body) -> Body:

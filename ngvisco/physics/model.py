@@ -270,10 +270,9 @@ class Model:
             )
             raise ParameterError("Heat.numerical_heating", True, False, expected)
         if part_of(material, Damaged) is not None and not material.lagged:
-            known = (call("Damaged", material=...), ", alone or within ", call("Thermal", material=...))
-            raise ParameterError(
-                "Model.material", self.material, *known, "; other materials cannot wrap a damaged material"
-            )
+            known = Words(call("Damaged", material=...), ", alone or within ", call("Thermal", material=...))
+            reason = "; other materials cannot wrap a damaged material"
+            raise ParameterError("Model.material", self.material, known, reason)
 
     def _take_bodies(self) -> None:
         """Check the bodies, and take material and viscosity from their mixture, if there are bodies."""

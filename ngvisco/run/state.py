@@ -74,8 +74,15 @@ class RunState:
         if sharpening is not None and step.discretisation.outlines:
             sharpening.follow(distances)
         carried = [part for part in (self.passive, distances, sharpening) if part is not None]
-        known = self.solver, time.made, self.ledger.rates, self.bounds
-        self.integrator = Integrator(*known, carried=carried, startup=time.startup, relaxed=time.relaxation)
+        self.integrator = Integrator(
+            self.solver,
+            time.made,
+            self.ledger.rates,
+            self.bounds,
+            carried=carried,
+            startup=time.startup,
+            relaxed=time.relaxation,
+        )
 
     def set_velocity_scale(self, scale: float) -> None:
         """Set the velocity scale, m/s, and from it the curvature of v in the penalty's weight."""

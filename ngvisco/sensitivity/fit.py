@@ -366,9 +366,10 @@ class _Search:
         start = np.array([parameter.value for parameter in self.parameters])
         low, high = (self._inner(self.bounds[:, i]) for i in range(2))
         low, high = np.minimum(low, high), np.maximum(low, high)
-        kinds = {"xtol": tolerance, "ftol": tolerance, "gtol": 1e-8}
-        first = np.clip(self._inner(start), low, high)
-        solved = least_squares(self.residuals, first, self.jacobian, (low, high), method="trf", **kinds)
+        first, bounds = np.clip(self._inner(start), low, high), (low, high)
+        solved = least_squares(
+            self.residuals, first, self.jacobian, bounds, method="trf", xtol=tolerance, ftol=tolerance
+        )
         tried = [result for result in self.kept.values() if result is not None]
         best = min(tried, key=lambda result: float(np.sum(self._residuals(result) ** 2)))
         p, cost = best.at, 0.5 * float(np.sum(self._residuals(best) ** 2))

@@ -43,8 +43,10 @@ class Displacement(OnWall):
 
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
         traces = partial(_traces, name=self.name, order=setting.k)
-        kind = {"space": traces, "evolves": True, "scale": self._size, "on": self.indicator}
-        return (Unknown(self.displacement, "walls", setting.k, setting.dim, **kind),)
+        name, k, dim = self.displacement, setting.k, setting.dim
+        return (
+            Unknown(name, "walls", k, dim, space=traces, evolves=True, scale=self._size, on=self.indicator),
+        )
 
     def on_body(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         return []
