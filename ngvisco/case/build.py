@@ -176,7 +176,7 @@ class Case:
                 with self.locator.located("bodies", str(i)):
                     bodies.append(body.built)
             parts["bodies"] = tuple(bodies)
-        else:
+        if sections.material is not None:
             with self.locator.located("material"):
                 parts["material"] = sections.material.built
         with self.locator.located("bodies" if sections.bodies else "loads"):
@@ -297,7 +297,7 @@ def samples(case: CaseSections, run: Path) -> dict[tuple[str, ...], Series]:
     def file(name: str) -> Path:
         return run / "samples" / f"{name}.csv"
 
-    if case.bodies:
+    if case.bodies or output.bodies is not None:
         chosen: dict[str, Any] = {} if output.bodies is None else parameters(output.bodies)
         series["output", "bodies"] = Bodies(run / "bodies.csv", **chosen)
     if (c := output.contours) is not None:

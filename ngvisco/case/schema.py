@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
@@ -21,7 +20,6 @@ from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.heat import Heat
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import Branch, Thermal
-from ngvisco.physics.model import require_names_and_one_rest, require_names_of_loads
 from ngvisco.physics.rheology import Viscosity
 from ngvisco.run.body_tables import Bodies
 from ngvisco.run.checkpoint import Checkpoints
@@ -111,6 +109,13 @@ Discretisation, Initial, Solver, TimeSteps = (
 )
 
 
+def _require_length(name: str, length: float, until: float, most: int, reason: str) -> None:
+    """Raise ParameterError for a length of time, s, that fits more than ``most`` times into ``until``."""
+    if until / length > most:
+        least = 1.06 * until / most  # rounded up in two digits
+        raise ParameterError(name, length, f"at least {least:.2g} s, {reason}")
+
+
 class Time(TimeSteps):  # type: ignore[misc]
     """Step length and end time."""
 
@@ -121,16 +126,14 @@ class Time(TimeSteps):  # type: ignore[misc]
     @model_validator(mode="after")
     def _ends(self) -> Time:
         # adaptive steps grow: dt is the first step's length, and dt_max bounds the number of steps from below
-        longest = self.dt if self.adaptive is None else self.adaptive.dt_max
-        if self.until / longest > _MAX_STEPS:
-            least = 1.06 * self.until / _MAX_STEPS  # 6 % more, so that two digits are not less than needed
-            steps = f"{self.until / longest:.0e} steps to time.until = {self.until:g} s"
-            name = "Time.dt" if self.adaptive is None else "Time.adaptive.dt_max"
-            expected = f"at least {least:.2g} s, since the given length makes {steps}"
-            raise ParameterError(name, longest, expected)
-        number = round(self.until / self.dt)
-        if self.adaptive is None and not math.isclose(number * self.dt, self.until, rel_tol=1e-9):
-            raise ParameterError("Time.until", self.until, f"a multiple of dt = {self.dt:g}")
+        name, longest = (
+            ("dt", self.dt) if self.adaptive is None else ("adaptive.dt_max", self.adaptive.dt_max)
+        )
+        steps = (
+            f"since the given length makes {self.until / longest:.0e} steps to time.until = {self.until:g} s"
+        )
+        _require_length(f"Time.{name}", longest, self.until, _MAX_STEPS, steps)
+        self.built.stepper().check("Time.until", self.until)
         return self
 
 
@@ -288,33 +291,8 @@ class CaseSections(Section):
     def _consistent(self) -> CaseSections:
         if self.material is None and not self.bodies:
             raise ParameterError("material", None, "a table [material], or bodies, [[bodies]]")
-        self._check_bodies()
-        for key in ("bodies", "contours"):
-            table = getattr(self.output, key)
-            if table is not None and not self.bodies:
-                raise ParameterError(f"output.{key}", table, "no such table in a case without [[bodies]]")
-        require_names_of_loads(self.loads)
-        require_names_and_one_rest(self.bodies)
         if (interval := self.output.vtk.interval) is not None:
-            if self.time.until / interval > _MAX_OUTPUT_TIMES:
-                least = 1.06 * self.time.until / _MAX_OUTPUT_TIMES  # rounded up in two digits
-                expected = (
-                    f"at least {least:.2g} s, so that there are at most {_MAX_OUTPUT_TIMES} output times"
-                )
-                raise ParameterError("output.vtk.interval", interval, expected)
-            self.time.built.stepper().check("output.vtk.interval", interval)
+            key, reason = "output.vtk.interval", f"so that there are at most {_MAX_OUTPUT_TIMES} output times"
+            _require_length(key, interval, self.time.until, _MAX_OUTPUT_TIMES, reason)
+            self.time.built.stepper().check(key, interval)
         return self
-
-    def _check_bodies(self) -> None:
-        if not self.bodies:
-            return
-        if self.material is not None:
-            expected = "no table [material] if there are [[bodies]], since each body has its own material"
-            raise ParameterError("material.kind", self.material.kind, expected)
-        for name in ("viscosity", "creep"):
-            if (part := getattr(self.rheology, name)) is not None:
-                expected = (
-                    "no such table if there are [[bodies]], since each body has its own table "
-                    f"[bodies.{name}]"
-                )
-                raise ParameterError(f"rheology.{name}", part, expected)

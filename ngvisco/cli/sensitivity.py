@@ -2,10 +2,9 @@
 data."""
 
 import argparse
-import csv
 import shlex
 import shutil
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -27,6 +26,7 @@ from ngvisco.errors import (
     listed,
     nearest,
 )
+from ngvisco.run.files import csv_text, write_atomically
 from ngvisco.run.simulation import Simulation
 from ngvisco.sensitivity.fit import Fit
 from ngvisco.sensitivity.fit import fit as fitted
@@ -51,8 +51,8 @@ def gradient(options: argparse.Namespace) -> int:
     result, code = _stoppable(differentiated, simulation, case.until, **given, restart=out / RESTART)
     if result is None:
         return code
-    rows = zip(result.of, np.column_stack([result.values, result.jacobian]), strict=True)
-    _write(out / "gradient.csv", ["number", "value", *result.by], rows)
+    numbers = np.column_stack([result.values, result.jacobian])
+    _write(out / "gradient.csv", ["number", "value", *result.by], result.of, numbers)
     shutil.rmtree(out / RESTART)
     streams.write(f"{result}\nAll numbers are in SI units.\n")
     if result.limited:
@@ -84,7 +84,7 @@ def fit(options: argparse.Namespace) -> int:
     (out / "fit.txt").write_text(report)
     numbers = np.column_stack([result.start, result.values, result.deviations, result.covariance])
     head = ["parameter", "start", "value", "deviation", *(f"covariance {name}" for name in result.by)]
-    _write(out / "fit.csv", head, zip(result.by, numbers, strict=True))
+    _write(out / "fit.csv", head, result.by, numbers)
     result.plot(out / f"fit.{options.format}")
     shutil.rmtree(out / RESTART)
     streams.write(
@@ -200,9 +200,7 @@ def _number(text: str) -> float | None:
         return None
 
 
-def _write(path: Path, head: Sequence[str], rows: Iterable[tuple[str, Iterable[float]]]) -> None:
-    """Write a CSV file; a row is a name and its numbers."""
-    with path.open("w", newline="") as file:
-        table = csv.writer(file)
-        table.writerow(head)
-        table.writerows([name, *(repr(float(number)) for number in numbers)] for name, numbers in rows)
+def _write(path: Path, head: Sequence[str], names: Sequence[str], numbers: np.ndarray) -> None:
+    """Write a CSV file with a row of ``numbers`` for each name."""
+    rows = [[name, *row] for name, row in zip(names, numbers.tolist(), strict=True)]
+    write_atomically(path, csv_text([head, *rows]).encode())

@@ -125,7 +125,7 @@ class Model:
         require_fields(self)
         for load in self.loads:
             check_name(load)
-        require_names_of_loads(self.loads)
+        _require_names_of_loads(self.loads)
         check_material(self.material)
         names = ("material", "viscosity", "hyperviscosity", "creep")
         reserved = [] if entropy_in(self.material) is None else [TEMPERATURE]
@@ -285,7 +285,7 @@ class Model:
             if not (value is None or isinstance(value, (Mixture, MixedViscosity))):
                 expected = f" with bodies, since each body has its own {name}"
                 raise ParameterError(f"Model.{name}", value, None, expected)
-        require_names_and_one_rest(self.bodies)
+        _require_names_and_one_rest(self.bodies)
         names = [body.name for body in self.bodies]
         for name in names:
             if (shorter := name.removesuffix("_momentum")) != name and shorter in names:
@@ -392,8 +392,8 @@ def _require_bulk(material: Material) -> None:
         raise ParameterError(f"{type(part).__name__}.K_e", K_e, expected)
 
 
-def require_names_of_loads(loads: Sequence[Any]) -> None:
-    """Raise ParameterError for a load, or its table in a case file, with the name of an earlier one."""
+def _require_names_of_loads(loads: Sequence[Any]) -> None:
+    """Raise ParameterError for a load with the name of an earlier one."""
     for i, name in enumerate(names := [load.name for load in loads]):
         if name in names[:i]:
             expected = (
@@ -402,8 +402,8 @@ def require_names_of_loads(loads: Sequence[Any]) -> None:
             raise ParameterError(f"loads[{i}].name", name, expected)
 
 
-def require_names_and_one_rest(bodies: Sequence[Any]) -> None:
-    """Raise ParameterError for a body, or its table, with the name of an earlier one, or without a place."""
+def _require_names_and_one_rest(bodies: Sequence[Any]) -> None:
+    """Raise ParameterError for a body with the name of an earlier one, or a second one without a place."""
     rest = None
     for i, body in enumerate(bodies):
         if body.name in [earlier.name for earlier in bodies[:i]]:

@@ -72,7 +72,7 @@ ONE | g = [0, -1] -> g = [[0], [-1]] | loads.0.g: [[0], [-1]]: expected an array
 ONE | density = 1 -> density = [[1]] | initial.density: [[1]]: expected a number, or an expression
 ONE | + [output]; passive = ["creep_strain"]
   | output.passive: 'creep_strain': expected no creep strain in a model
-ONE | + [output.bodies]; every = 2 | output.bodies: { every = 2 }: expected no such table
+ONE | + [output.bodies]; every = 2 | output.bodies: { every = 2 }: expected a model with bodies, since
 ONE | + [output.vtk]; fields = [] | output.vtk.fields: []: expected at least one
 ONE | + [[output.probes]]; name = "a"; point = [0.5, 0.5]; fields = []
   | output.probes.0.fields: []: expected at least one
@@ -117,9 +117,10 @@ TWO | BALL -> "x <" | bodies.1.where: 'x <': the text is not an expression, at c
 TWO | BALL -> "x < t" | expected a condition that reads only x, y and z
 TWO | BALL -> [] | bodies.1.where: []: expected at least one shape
 TWO | BALL -> 3 | bodies.1.where: 3: expected a table
-TWO | until = 0.04 -> until = 0.04; [rheology.creep]; G_m = 1 | no such table if there are [[bodies]]
+TWO | until = 0.04 -> until = 0.04; [rheology.creep]; G_m = 1
+  | rheology.creep: { G_m = 1 }: expected nothing with bodies, since each body has its own creep
 TWO | until = 0.04 -> until = 0.04; [material]; kind = "LinearElastic"; K_e = 1; G_e = 1
-  | no table [material] if there are [[bodies]]
+  | material: { kind = "LinearElastic", K_e = 1, G_e = 1 }: expected nothing with bodies, since each body
 ONE | [material]; LAW ->  | material: is missing: expected a table [material], or bodies
 ONE | K_e = 10 -> K_e = "10 + 5*t" | material.K_e: '10 + 5*t': expected a number, or an expression of
 ONE | K_e = 10 -> K_e = true | material.K_e: true: expected a number, or an expression
