@@ -18,10 +18,9 @@ from ngvisco.case.reading import sections_of, text_of
 from ngvisco.case.schema import CaseSections
 from ngvisco.case.section import built, nodes, parameters, sections_in, shown, values_of
 from ngvisco.case.units import Converter
-from ngvisco.case.values import LAW, REGION, VECTOR, shape_of
-from ngvisco.errors import ParameterError, require_path
+from ngvisco.case.values import LAW, REGION, shape_of
+from ngvisco.errors import require_path
 from ngvisco.expressions import parse, parse_region
-from ngvisco.forms.boundary.boundaries import check_boundary_names
 from ngvisco.forms.context import time
 from ngvisco.physics.bodies import Body
 from ngvisco.physics.material import ElasticState, Material, part_of
@@ -36,7 +35,7 @@ from ngvisco.run.probes import Integrals, LineSamples, Probes, WallForces
 from ngvisco.run.refinement import Refinement
 from ngvisco.run.series import Series
 from ngvisco.run.simulation import Observer, Simulation
-from ngvisco.shapes.fractions import MISSED, volumes
+from ngvisco.shapes.fractions import volumes
 
 
 def load_case(path: str | os.PathLike[str], settings: Sequence[str] = ()) -> Case:
@@ -187,9 +186,6 @@ class Case:
         for path, part in sections_in(self.sections):
             for name, kind in values_of(type(part)).items():
                 place, value = (*path, name), getattr(part, name)
-                if kind is VECTOR and isinstance(value, list) and len(value) != dim:
-                    message = f"{shown(value)}: expected an array of {dim} components, not {len(value)}"
-                    raise self.locator.error(place, message)
                 parsed = parse_region if kind is REGION else parse
                 # a region may have shapes in place of a text; these tables are visited by themselves
                 texts = [(place, value)] if kind is REGION else list(nodes(value, place))
@@ -202,8 +198,6 @@ class Case:
         """The simulation at its initial state; raises CaseError for data that the model refuses."""
         sections: Any = self.sections
         self._check_place(mesh.dim)
-        with self.locator.located("walls"):
-            check_boundary_names(mesh, sections.walls)
         parts = _built(sections, ("initial", "discretisation", "solver", "time"))
         walls: dict[str | tuple[str, ...], Wall] = {name: wall.built for name, wall in sections.walls.items()}
         time.Set(0.0)
@@ -226,16 +220,13 @@ class Case:
         return run
 
     def _check_bodies(self, mesh: Mesh) -> None:
-        """Raise CaseError for a body without volume in the mesh, or with a place that does not fit it."""
+        """Raise CaseError for a shape that does not fit the mesh."""
         for i, body in enumerate(self.sections.bodies):
-            place, volume = ("bodies", str(i), "where"), 0.0
             parts = body.where if isinstance(body.where, list) else [body.where]
             for j, part in enumerate(parts) if body.where is not None else ():
-                with self.locator.located(*place, *([str(j)] if part is not body.where else [])):
-                    volume += volumes(mesh, [shape_of(built(part))])[0]
-            with self.locator.located(*place):
-                if body.where is not None and not volume > 0:
-                    raise ParameterError(f"bodies[{body.name!r}].where", body.where, MISSED)
+                number = [str(j)] if part is not body.where else []
+                with self.locator.located("bodies", str(i), "where", *number):
+                    volumes(mesh, [shape_of(built(part))])
 
     def observers(self, directory: str | os.PathLike[str], until: float | None = None) -> list[Observer]:
         """The observers for ledger, VTK series, tables and, last, checkpoints in a run directory."""

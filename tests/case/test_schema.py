@@ -94,7 +94,7 @@ CASE | 1 + 0.1*x -> z + 1 | initial.density: 'z + 1': there is no z in a mesh of
 CASE | -1 + 0.1*t -> z | case.toml:18: loads.0.g.1: 'z': there is no z in a mesh of two dimensions
 CASE | -1 + 0.1*t -> log(x - 2) | case.toml:18: loads.0.g: [0, 'log(x - 2)']: expected finite
 CASE | -1 + 0.1*t -> sqrt(0.05 - t) | finite values; at t = 0.075 s the value is not finite somewhere
-CASE | g = [0, -> g = [0, 0, | case.toml:18: loads.0.g: [0, 0, '-1 + 0.1*t']: expected an array of 2
+CASE | g = [0, -> g = [0, 0, | case.toml:18: loads.0.g: [0, 0, '-1 + 0.1*t']: expected a vector with 2
 CASE | [walls -> [initial.values]; Q = 1; [walls | unknown material variable 'Q'
 CASE | [walls -> [initial.values]; F = [[1, 0], [0]]; [walls | initial.values.F: [[1, 0], [0]]: expected three
 CASE | velocity = -> F = [[-1, 0, 0], [0, 1, 0], [0, 0, 1]]; velocity =
