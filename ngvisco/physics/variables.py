@@ -11,7 +11,7 @@ discretisation and the derived stresses use nothing else.
 | J = det F     | (tr L) J                              | DT-det-extended                |
 | H = Cof F     | (tr L) H - L^T H + H Pi^T             | H-flow-rule                    |
 | H = J^a F     | a (tr L) H + L H - H Pi               | rem-behind-polyconvexity       |
-| H = J^b Cof F | (1 + b)(tr L) H - L^T H + H Pi^T      | exa-Mooney-Rivlin-ref          |
+| H = J^b Cof F | (1 + b)(tr L) H - L^T H + H Pi^T      | exa-Mooney–Rivlin-ref          |
 | A = 1/J       | -(tr L) A                             | DT-det-inverse                 |
 | c             | -(tr L) c                             | none: ``Concentration`` |
 | K = ln J / J  | (tr L)(A - K)                         | exa-neo-Hookean-ref            |
@@ -213,7 +213,7 @@ class Distortion(DistortionTensor):
 
 @dataclass(frozen=True)
 class Cofactor(DistortionTensor):
-    """J^exponent Cof F (paper: H-flow-rule; exponent -7/6 for exa-Mooney-Rivlin-ref, see above)."""
+    """J^exponent Cof F (paper: H-flow-rule; exponent -7/6 for exa-Mooney–Rivlin-ref, see above)."""
 
     name: str = "H"
     kind: str = "full"
