@@ -1,10 +1,10 @@
-"""Threads of a computation: NGSolve's for assembly, one for the BLAS, and ours for work on arrays.
+"""Threads of a computation: NGSolve's for assembly, one for the BLAS, and the package's for work on arrays.
 
 NGSolve's task threads wait actively and compete with threads of the BLAS for cores (measured beside other
 work on two cores: the swirl demo takes 9 min 52 s with both, 2 min 10 s with one BLAS thread).  Work on
-arrays must not compete with NGSolve's workers, so ``on_arrays`` ends them.  It does not suspend them, because
-calls of NGSolve would wait for sleeping workers: 6.6 ms instead of 0.2 for solving with a factorisation of
-2,754 unknowns.
+arrays must not compete with NGSolve's workers, so ``on_arrays`` ends them.  If ``on_arrays`` suspended the
+workers, calls of NGSolve would wait for them: a solution with a factorisation of 2,754 unknowns would take
+6.6 ms instead of 0.2 ms.
 """
 
 import os

@@ -347,7 +347,7 @@ def choice(
 ) -> Any:
     """The choice by the value of ``key`` among the sections of a table, which also have the keys of ``base``.
 
-    If it ``has_default``, the first section needs no ``key``.  ``wrappers`` are kinds of which each may hold
+    With ``has_default``, the first section needs no ``key``.  ``wrappers`` are kinds of which each may hold
     a ``law`` of all kinds before it; ``of`` gives the types of further parameters that hold such laws.
     Parameters in ``without`` are no keys.
     """

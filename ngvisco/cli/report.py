@@ -115,9 +115,9 @@ def _measure(
 ) -> tuple[float, float, int, tuple[float, int] | None]:
     """Take the first steps of a case, with its observers, in a directory that is removed.
 
-    Returns the seconds of the first step, the median of later ones and their number, and the seconds of a
-    file of the VTK series and the number of files, None without a series.  The median is taken since a single
-    step may need ten times as many iterations as the others.
+    Returns the seconds of the first step, the median of later steps, and the number of later steps; then the
+    seconds of a file of the VTK series and the number of files, or None without a series. The median is taken
+    since a single step may need ten times as many iterations as the others.
     """
     with tempfile.TemporaryDirectory() as place:
         observers, watch = case.observers(Path(place), case.until), Stopwatch(min(_STEPS, steps), _SECONDS)

@@ -303,7 +303,8 @@ class Interpolation:
 
 
 def _turns(exchange: Exchange) -> tuple[int, int]:
-    """This rank's turn, and the number of turns.  Ranks that share an unknown of three have unequal turns."""
+    """This rank's turn, and the number of turns.  Ranks that share an unknown with two or more others have
+    different turns."""
     if not exchange.is_distributed:
         return 0, 1
     is_crowded = exchange.sum(np.ones(exchange.count)) > 2

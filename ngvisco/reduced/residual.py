@@ -280,8 +280,8 @@ class ReducedResidual:
     def on_sides(self) -> Iterator[tuple[Fields, slice]]:
         """z, its trace and its conjugates in the step's state, at the points of some cells' sides.
 
-        Each item has another range of points; values at all points at once would take more memory than the
-        iteration."""
+        Each item has a part of the points, because values at all points at once would take more memory than
+        the iteration."""
         c = self._of_state(("z", "z_hat", "zeta"))
         return ((part.sides.fields(c), part.sides.op.places) for part in self.parts)
 

@@ -144,8 +144,8 @@ class Bodies(Series):
     | ``NAME_smeared`` | width of the interface in cells: the volume where 0.05 < theta < 0.95 over |
     |  | the volume of an interface one cell wide; NaN without an interface |
 
-    and, by the measures, the following.  The first four are measures of the region with theta >= 1/2 in two
-    dimensions; they are NaN if there is no such region.
+    The argument ``measures`` adds the following columns. The first four measures are those of the region with
+    theta >= 1/2 in two dimensions; their columns are NaN if there is no such region.
 
     | measure | columns |
     |---|---|

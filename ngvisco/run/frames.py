@@ -297,7 +297,7 @@ def outlined(names: Sequence[str]) -> list[str]:
     """The names of fractions that outline a run's bodies, among ``names``, without the last body's fraction.
 
     The fractions stand together before ``body``, since a passive field may have a similar name.  The last
-    body's outline consists of outlines of the other bodies.
+    body needs no outline, since the outlines of the other bodies bound it.
     """
     before = list(names)[: list(names).index("body")] if "body" in names else []
     return list(takewhile(lambda name: name.endswith("_fraction"), reversed(before)))[:0:-1]

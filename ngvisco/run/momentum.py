@@ -148,8 +148,8 @@ class Momentum:
 
     @property
     def balances(self) -> dict[str, tuple[str, list[str]]]:
-        """Columns of the momentum and of impulses, by the column of the defect by which the momentum's change
-        and the impulses' sum differ."""
+        """For each column of the defect, the columns of the momentum and of the impulses: the defect is the
+        change of the momentum less the sum of the impulses."""
         impulses = [self._names(quantity) for quantity in self._given]
         names = zip(self._names("momentum"), *impulses, strict=True)
         return {

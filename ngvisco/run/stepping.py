@@ -95,9 +95,9 @@ class TimeSteps:
         How often a step of fixed length that is not solved is halved, before solver.method = "auto" turns to
         the other solver; with 0 a step is not halved.  The run tries the first solver again after 16 steps.
     velocity_scale : float, optional
-        A typical velocity.  This velocity sets the curvature of v below which the penalty of the
-        hyperviscosity does not depend on the curvature.  The default is the velocity of flow, walls, free
-        fall or elastic release, or a tenth of the speed of sound in a body at rest.
+        A typical velocity, from which a typical curvature of v follows.  Below this curvature, the penalty
+        of the hyperviscosity is constant.  The default is the velocity of flow, walls, free fall or elastic
+        release, or a tenth of the speed of sound in a body at rest.
     adaptive : AdaptiveSteps, optional
         Bounds of step lengths that the run chooses; without this table all steps have one length.
     """

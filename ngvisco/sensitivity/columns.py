@@ -190,7 +190,7 @@ class Columns:
         return np.where(self.is_of_stages, np.where(self.is_of_steps, tau * means, means), of_state)
 
     def state(self) -> np.ndarray:
-        """Values of the columns at a step's end, the present state, (columns,); zero for means over
+        """Values of the columns at a step's end, which is the present state, (columns,); zero for means over
         stages."""
         values = self._of_fields()
         for table, _, places in self._of_tables:

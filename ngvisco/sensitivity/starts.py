@@ -76,7 +76,7 @@ class Starts:
         return self.variations.of_sum(integrands)
 
     def put(self, weights: np.ndarray, states: Sequence[np.ndarray], number: int) -> None:
-        """Choose as y, the state by which derivatives are taken, the one with this ``number`` among the start
+        """Choose the state y by which derivatives are taken: ``number`` is its place among the start
         ``states``, which have ``weights``.
 
         The step has to start from the weighted sum of the states.

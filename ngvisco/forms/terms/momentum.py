@@ -136,9 +136,9 @@ class Convection(PointTerm):
     """Convection 1/2 m . [(L^T w) - (grad w)^T v] with m = rho v, which has no power (paper:
     calculus-for-kinetic).
 
-    With regularisation m = K(rho) rho v + delta |grad rho|^{r-2} grad rho: the paper's compensating term
-    - delta |grad rho|^{r-2} (grad v) grad rho takes this shape when -1/2 v.w times the continuity equation
-    is added, and has no power either.
+    With regularisation, m = K(rho) rho v + delta |grad rho|^{r-2} grad rho. When -1/2 v.w times the
+    continuity equation is added, the paper's compensating term - delta |grad rho|^{r-2} (grad v) grad rho
+    takes this shape. The compensating term has no power either.
     """
 
     regularisation: Regularisation | None = None
