@@ -53,12 +53,9 @@ class OnePoint:
     def read(self, terms: Iterable[PointTerm], names: Iterable[str]) -> list[tuple[str, int]]:
         """Unknowns among ``names`` and their components on which the terms' rows depend, also through
         gradients."""
-        terms, read = list(terms), []
-        for name in names:
-            for i in range(self._shapes[name][0] if self._shapes[name] else 1):
-                if any(self._changes(term, name, i) for term in terms):
-                    read.append((name, i))
-        return read
+        terms, shapes = list(terms), {name: self._shapes[name] or (1,) for name in names}
+        parts = [(name, i) for name, shape in shapes.items() for i in range(shape[0])]
+        return [(name, i) for name, i in parts if any(self._changes(term, name, i) for term in terms)]
 
     def _changes(self, term: PointTerm, unknown: str, component: int) -> bool:
         def increased(name: str, values: np.ndarray) -> np.ndarray:

@@ -231,16 +231,6 @@ def gradient(
 
 
 @computing()
-def measure(
-    simulation: Simulation, until: float, of: Sequence[str] | Mapping[str, str | Misfit]
-) -> np.ndarray:
-    """Run a simulation until a time, and return the numbers of ``gradient`` without derivatives."""
-    numbers, trajectory = _numbers(of, until, simulation), Trajectory(simulation)
-    base = _base(simulation, numbers.columns)
-    trajectory.run(until)
-    return numbers.values(numbers.parts(history(trajectory, base)))
-
-
 def _numbers(of: Sequence[str] | Mapping[str, str | Misfit], until: float, simulation: Simulation) -> Numbers:
     return Numbers.of(of, until, simulation.t, simulation.ledger.momentum.balances)
 

@@ -13,6 +13,7 @@ from support import LINEAR, NEO_HOOKEAN, small_box
 import ngvisco as nv
 from ngvisco import geometries
 from ngvisco.physics import variables
+from ngvisco.shapes.fractions import fractions
 from ngvisco.shapes.shape import Union, Where  # noqa: F401  of the tables
 
 ELASTIC = nv.Model(material=LINEAR)
@@ -29,6 +30,16 @@ TWICE, K = [variables.Distortion()] * 2, [variables.LogJacobian()]
 
 def simulation(model=FINITE, **options):
     return nv.Simulation(small_box(2), model, **{"dt": 0.1, **options})
+
+
+def of(name, where):
+    return nv.Body(
+        name=name, where=where, material=nv.ReferentialNeoHookean(K_e=1, G_e=1, elastic_state="B"), density=1
+    )
+
+
+DISC = nv.Ball((0.0, 1.0), 0.4)
+DISC_IN_BOX = nv.Model(bodies=[of("disc", DISC), of("rest", None)])
 
 
 def start(model=FINITE, **initial):
@@ -304,6 +315,7 @@ start(values={"J": _}) | -1 | projected J_0 | > 0
 start(values={"J": _}) | nan | material variables | finite
 start(velocity=_) | (NAN_HALF, 0), | |v_0|^2 | finite
 start(Model(material=_)) | without_energy() | stored energy | finite
+start(DISC_IN_BOX, values={"B_disc": _}) | Id(3) | B_disc_0 | times the body's share
 """
 
 
@@ -314,6 +326,13 @@ def test_bad_initial_data_are_named(make, value, field, expected):
     assert error.value.field == field
     assert expected in error.value.expected
     assert str(error.value).startswith(f"initial {field}: ")
+
+
+def test_tensor_of_a_body_may_be_given_where_the_body_is():
+    share, _ = fractions(simulation().mesh, [DISC], 1)
+    given = simulation(DISC_IN_BOX, initial=nv.Initial(values={"B_disc": share * Id(3)}))
+    default = simulation(DISC_IN_BOX)
+    assert np.allclose(given.rothe_step.state.vec.FV(), default.rothe_step.state.vec.FV(), atol=1e-12)
 
 
 TYPED = """\

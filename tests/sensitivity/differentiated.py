@@ -4,7 +4,7 @@ from ngsolve import cos, pi, sin, x, y
 
 import ngvisco as nv
 from ngvisco.geometries import box
-from ngvisco.sensitivity.gradient import measure
+from tests.verification.cases.sensitivities import measure
 
 UNTIL = 0.06
 """End of the runs, s."""

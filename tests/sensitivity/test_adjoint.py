@@ -11,11 +11,12 @@ from support import by_ci
 import ngvisco as nv
 from ngvisco.geometries import disc, structured_box
 from ngvisco.sensitivity.adjoint import Adjoint
-from ngvisco.sensitivity.gradient import _base, _numbers, measure
+from ngvisco.sensitivity.gradient import _base, _numbers
 from ngvisco.sensitivity.slopes import Slopes
 from ngvisco.sensitivity.starts import Starts
 from ngvisco.sensitivity.tangent import Neighbours, history, tangents
 from ngvisco.sensitivity.trajectory import Trajectory
+from tests.verification.cases.sensitivities import measure
 
 
 @pytest.mark.parametrize("scheme", [by_ci("backward-euler"), by_ci("midpoint"), "sdirk2"])

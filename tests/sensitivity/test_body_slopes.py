@@ -13,8 +13,8 @@ import ngvisco as nv
 from ngvisco.geometries import box, structured_box
 from ngvisco.sensitivity.body_slopes import BodySlopes
 from ngvisco.sensitivity.columns import tables_of
-from ngvisco.sensitivity.gradient import measure
 from ngvisco.sensitivity.outline_slopes import OutlineSlopes
+from tests.verification.cases.sensitivities import measure
 
 VISCOSITY = nv.StokesViscosity(K_v=0.1, G_v=0.1)
 MESH = box((1, 1), maxh=0.3)

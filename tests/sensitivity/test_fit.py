@@ -7,7 +7,7 @@ import ngvisco as nv
 from ngvisco.case.units import factor
 from ngvisco.geometries import channel
 from ngvisco.sensitivity.data import Data
-from ngvisco.sensitivity.gradient import measure
+from tests.verification.cases.sensitivities import measure
 
 MESH = channel(1, 1, maxh=1.2)
 TIMES = np.arange(1, 11) * 0.1

@@ -7,7 +7,7 @@ from ngsolve import IfPos, pi, sin, x
 
 import ngvisco as nv
 from ngvisco.geometries import structured_box
-from ngvisco.sensitivity.gradient import measure
+from tests.verification.cases.sensitivities import measure
 
 
 def recoiling(stiffness):

@@ -13,7 +13,7 @@ from test_models import heated
 
 import ngvisco as nv
 from ngvisco.sensitivity.distance_slopes import DistanceSlopes
-from ngvisco.sensitivity.gradient import measure
+from tests.verification.cases.sensitivities import measure
 
 EXTREMA = ("rho_min", "rho_max", "J_min", "v_max", "creep_power_min", "eigenvalue_min_B")
 DEFECTS = ("defect_max", "defect_rms")

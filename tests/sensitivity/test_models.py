@@ -14,7 +14,7 @@ from support import by_ci
 import ngvisco as nv
 from ngvisco.geometries import box, structured_box
 from ngvisco.physics.variables import Jacobian
-from ngvisco.sensitivity.gradient import measure
+from tests.verification.cases.sensitivities import measure
 
 VISCOSITY = nv.StokesViscosity(K_v=0.1, G_v=0.1)
 ELASTIC = nv.NeoHookean(K_e=10, G_e=5, epsilon=0.1)

@@ -7,9 +7,9 @@ from support import by_ci
 
 import ngvisco as nv
 from ngvisco.geometries import box
-from ngvisco.sensitivity.gradient import measure
 from ngvisco.sensitivity.parameters import Named
 from ngvisco.sensitivity.tangent import Neighbours
+from tests.verification.cases.sensitivities import measure
 
 FORCE = {"push": "bottom.force_2 at 0.06"}
 

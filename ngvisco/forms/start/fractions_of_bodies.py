@@ -7,10 +7,14 @@ from operator import add
 import numpy as np
 from ngsolve import CF, VOL, CoefficientFunction, ElementId, Integrate, Mesh
 
-from ngvisco.errors import ParameterError
-from ngvisco.forms.given_values import StartValues
+from ngvisco.errors import InitialDataError, ParameterError
+from ngvisco.forms.given_values import Given, StartValues, as_shape
+from ngvisco.forms.mesh.quadrature import Sampler
+from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
-from ngvisco.physics.bodies import Body
+from ngvisco.physics.bodies import TRACE, Body
+from ngvisco.physics.mixture import Mixture
+from ngvisco.physics.tensors import square
 from ngvisco.shapes.fractions import MISSED, fractions, volumes
 from ngvisco.shapes.shape import Shape
 from ngvisco.shapes.shape import as_shape as as_place
@@ -60,6 +64,21 @@ def starting_fractions(mesh: Mesh, bodies: Sequence[Body], order: int) -> StartV
         covered = reduce(add, fractions_of)
         result = {name: part / covered for name, part in result.items()}
     return {name: result[name] for name in names}
+
+
+def require_bodies(
+    step: Step, material: Mixture, shares: StartValues, given: Given, sampler: Sampler
+) -> None:
+    """Raise InitialDataError for the ``given`` tensor of a body in cells without the body."""
+    of_cells, bodies = step.quadrature.each_cell, {X.name: n for n in shares for X in material.contents(n)}
+    for name in bodies.keys() & given.keys():
+        field = f"Initial.values[{name!r}]"
+        sizes = of_cells(square(as_shape(field, given[name], (3, 3))))
+        absent = of_cells(shares[bodies[name]]) <= TRACE * of_cells(CF(1.0))
+        if sampler.ranks.most(absent * sizes) > TRACE * sampler.ranks.most(sizes):
+            expected = "the body's tensor times the body's share of the volume, which is 0 without the body"
+            value = f"the value is not 0 in cells without the body {bodies[name]!r}"
+            raise InitialDataError(f"{name}_0", value, expected, field)
 
 
 def _require_some_body_in_each_cell(mesh: Mesh, names: Sequence[str], remainder: CoefficientFunction) -> None:

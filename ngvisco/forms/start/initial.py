@@ -28,7 +28,7 @@ from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.projections import LocalProjection, project, set_traces
 from ngvisco.forms.start.data_checks import distortion_of, warn_of_doubts, warn_of_own_energy
 from ngvisco.forms.start.equilibrium import Column, require_open
-from ngvisco.forms.start.fractions_of_bodies import starting_fractions
+from ngvisco.forms.start.fractions_of_bodies import require_bodies, starting_fractions
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand, tested
 from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
@@ -84,7 +84,8 @@ class Initial:
         except for gases and materials with stress at rest.
     values : mapping of names to coefficient functions, optional
         Initial values by name: values of variables of the material, which replace the values that follow
-        from F, and of further terms' evolving unknowns, which are zero by default.
+        from F, and of further terms' evolving unknowns, which are zero by default.  The value of a body's
+        tensor is the tensor times the body's share of the volume.
     """
 
     density: Annotated[ScalarLike | None, Quantity("kg/m^3", "> 0", 1.0)] = None
@@ -162,7 +163,7 @@ def _data(
     if initial.equilibrium is not None:
         distortions = _at_rest(step, initial, sampler, parameters, shares)
         F = distortions.get("", F)
-    of_bodies = _of_bodies(step, initial, shares, distortions)
+    of_bodies = _of_bodies(step, initial, shares, distortions, sampler)
     rho_R = material.referential_density
     rho_R = None if rho_R is None else CF(value_at(rho_R, parameters))
     _check_moduli(step, told, parameters, sampler)
@@ -280,7 +281,7 @@ def _at_rest(
 
 
 def _of_bodies(
-    step: Step, initial: Initial, shares: StartValues, distortions: Mapping[str, CoefficientFunction]
+    step: Step, initial: Initial, shares: StartValues, distortions: Given, sampler: Sampler
 ) -> StartValues:
     """Start amounts and tensors of the model's bodies, without the variables in ``initial.values``."""
     material = step.model.material
@@ -290,6 +291,7 @@ def _of_bodies(
         raise ParameterError("Initial.density", initial.density, None, ", since each body has a density")
     for name in sorted(set(initial.values) & {AMOUNT + name for name in shares}):
         raise ParameterError("Initial.values", name, "no amounts, since the bodies' places give them")
+    require_bodies(step, material, shares, initial.values, sampler)
     return {name: v for name, v in material.filled(shares, distortions).items() if name not in initial.values}
 
 
@@ -353,11 +355,10 @@ def _materials_in(part: object) -> Iterator[Material]:
 def _further(step: Step, initial: Initial, sampler: Sampler) -> StartValues:
     """Given start values of the evolving unknowns other than v, rho and z."""
     values = {}
-    for name in step.layout.further:
-        if name in initial.values:
-            shape, field_name = step.layout.unknowns[name].shape, f"Initial.values[{name!r}]"
-            values[name] = value = as_shape(field_name, initial.values[name], shape)
-            sampler.require(inner(value, value), f"|{name}_0|^2", field_name)
+    for name in (name for name in step.layout.further if name in initial.values):
+        shape, field_name = step.layout.unknowns[name].shape, f"Initial.values[{name!r}]"
+        values[name] = value = as_shape(field_name, initial.values[name], shape)
+        sampler.require(inner(value, value), f"|{name}_0|^2", field_name)
     return values
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from typing import Any
 
@@ -11,9 +11,10 @@ from ngsolve import Mesh, cos, pi, sin, x, y
 
 import ngvisco as nv
 from ngvisco.geometries import box
-from ngvisco.sensitivity.gradient import measure
+from ngvisco.sensitivity.gradient import _base, _numbers
 from ngvisco.sensitivity.starts import Starts
-from ngvisco.sensitivity.tangent import Neighbours
+from ngvisco.sensitivity.tangent import Neighbours, history
+from ngvisco.sensitivity.trajectory import Trajectory
 from tests.verification.case import Cases, Curve, Measured, Plot, Table
 
 CASES = Cases("Sensitivities")
@@ -32,6 +33,16 @@ SWIRL = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
 STOKES = nv.StokesViscosity(K_v=0.1, G_v=0.1)
 
 Make = Callable[..., nv.Simulation]
+
+
+def measure(
+    simulation: nv.Simulation, until: float, of: Sequence[str] | Mapping[str, str | nv.Misfit]
+) -> np.ndarray:
+    """Run a simulation until a time, and return the numbers of ``nv.gradient`` without derivatives."""
+    numbers, trajectory = _numbers(of, until, simulation), Trajectory(simulation)
+    base = _base(simulation, numbers.columns)
+    trajectory.run(until)
+    return numbers.values(numbers.parts(history(trajectory, base)))
 
 
 @cache
