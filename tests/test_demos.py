@@ -204,7 +204,7 @@ def test_soft_disc_keeps_its_mass_and_is_carried_by_the_flow(tmp_path):
     written(tmp_path, "disc.png", "energies.png", "fields.png", "run.h5")
 
 
-def test_the_disc_in_a_vortex_is_a_quarter_of_the_problem():
+def test_a_quarter_of_the_vortex_has_a_quarter_of_the_energies():
     """The case file is beside that of the soft disc; energies of the whole are four times those of the
     quarter."""
     case = nv.load_case(DEMOS / "soft_disc" / "vortex.toml", ["domain.maxh=0.25"])

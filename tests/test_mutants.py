@@ -15,6 +15,6 @@ def test_each_change_fits_one_place_and_has_a_test(mutant):
 
 @pytest.mark.long
 @pytest.mark.parametrize("mutant", MUTANTS, ids=[mutant.name for mutant in MUTANTS])
-def test_each_change_is_seen(mutant, tmp_path):
+def test_each_change_makes_its_test_fail(mutant, tmp_path):
     copy_with(mutant, tmp_path)
     assert seen(mutant, tmp_path)

@@ -71,7 +71,7 @@ def test_inner_products_are_those_of_the_caller():
     assert taken == alone and np.linalg.norm(found - expected[twice]) <= 1e-12 * np.linalg.norm(expected)
 
 
-def test_what_has_no_further_direction_is_solved():
+def test_gmres_ends_where_no_further_direction_exists():
     right = np.array([1.0, 2.0, 0.0])
     found, taken = gmres(lambda x: 2 * x, right, rtol=1e-12, directions=3)
     assert taken == 1 and np.allclose(found, right / 2)
@@ -79,7 +79,7 @@ def test_what_has_no_further_direction_is_solved():
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_what_is_no_number_gives_none(bad):
+def test_gmres_gives_nan_for_numbers_that_are_not_finite(bad):
     """Numbers that are not finite are in the right-hand side, or in a product."""
     right = np.ones(3)
     assert np.isnan(gmres(lambda x: x, bad * right, rtol=1e-2, directions=3)[0]).all()

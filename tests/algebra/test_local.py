@@ -63,7 +63,7 @@ def test_the_points_of_two_rules_share_nodes_that_suffice(bent):
 
 
 @pytest.mark.parametrize("bent", [None, 1])
-def test_squares_of_blocks(bent):
+def test_squares_of_blocks_are_sums_over_points(bent):
     rng = np.random.default_rng(4)
     local = LocalMatrix(matrix(rng, bent), CELLS, pieces=PIECES)
     weights = rng.random((CELLS, local.per_cell))

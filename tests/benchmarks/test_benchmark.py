@@ -103,7 +103,7 @@ def test_answers_name_the_cheapest_run_and_compare_it_to_an_older_table(tmp_path
     assert "no problem 'swirll'" in capsys.readouterr().err
 
 
-def test_answers_measure_a_run():
+def test_a_measured_run_has_its_kinetic_energy_and_its_seconds():
     kinetic, seconds = answers.measured("shear wave", (2, 1), 1, 2, "midpoint")
     assert 0 < kinetic < 0.5 * 0.5 * 0.1**2 * 5 * 1.01 and seconds > 0  # rho v^2/2 with v = 0.1 c cos(2 pi x)
 

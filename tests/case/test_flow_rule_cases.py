@@ -134,6 +134,6 @@ def test_creep_without_a_kind_is_linear(tmp_path):
         ('kind = "Activated", E = 1, theta_R = -2, rule = { G_m = 1 }', "rheology.creep.*theta_R"),
     ],
 )
-def test_what_makes_no_sense_is_refused_by_its_key(creep, message, tmp_path):
+def test_an_invalid_rule_is_refused_by_its_key(creep, message, tmp_path):
     with pytest.raises(CaseError, match=f"(?s){message}"):
         case_of(ONE, creep, tmp_path)

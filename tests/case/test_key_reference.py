@@ -170,7 +170,7 @@ def test_a_template_is_the_demo_with_notes(name):
     assert "# s: Length of a step" in text and "ngvisco explain KEY" in text
 
 
-def test_what_a_template_offers_is_admitted():
+def test_optional_lines_of_a_template_are_admitted():
     """Each optional line of a template, added to the case alone, gives a valid case (except COMPANIONS)."""
     lines = template.template("swirl").splitlines()
     start = lines.index("[material]")

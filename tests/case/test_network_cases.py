@@ -73,7 +73,7 @@ def test_a_network_is_that_of_a_script_and_goes_on_to_the_bit(tmp_path):
     assert on.fields[field](on.mesh(0.3, 0.4)) == whole.fields[field](whole.mesh(0.3, 0.4))
 
 
-def test_what_is_left_open_is_written_out_as_it_is_run(tmp_path):
+def test_the_resolved_case_has_the_choices_of_the_run(tmp_path):
     for text, count in ((NETWORK, 2), (PRONY, 1)):
         resolved = load_case(written(tmp_path, text)).resolved
         assert resolved.count('elastic_state = "B"') == count and 'elastic_state = "F"' not in resolved
@@ -134,7 +134,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_what_is_wrong_is_named_by_its_key(tmp_path, name):
+def test_a_fault_of_a_network_is_named_by_its_key(tmp_path, name):
     text, change, said = WRONG[name]
     with pytest.raises(CaseError, match=said):
         load_case(written(tmp_path, text, change)).model(2)

@@ -51,7 +51,7 @@ def test_tables_of_a_case_are_written_and_belong_to_the_results(tmp_path):
     assert not (samples / "tip.csv").exists() and (samples / "middle.csv").exists()
 
 
-def test_what_is_measured_does_not_change_the_case(tmp_path):
+def test_measurements_do_not_change_the_hash_of_a_case(tmp_path):
     assert case(CASE, tmp_path).hash == case(CASE, tmp_path, "output.probes=[]").hash
 
 

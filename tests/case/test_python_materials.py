@@ -116,7 +116,7 @@ def test_a_run_directory_has_the_file_and_the_hash_its_content(place: Path) -> N
         ("parameters", "{ K = -1 }", r"material\.parameters\.K.*-1.*a modulus > 0, Pa"),
     ],
 )
-def test_what_it_has_not_is_refused_by_the_key(place: Path, key: str, value: str, said: str) -> None:
+def test_what_a_python_file_lacks_is_refused_by_the_key(place: Path, key: str, value: str, said: str) -> None:
     lines = [f"{key} = {value}" if line.startswith(key) else line for line in BY_PYTHON.splitlines()]
     with pytest.raises(nv.CaseError, match=f"(?s){said}"):
         case(place, "\n".join(lines)).model(2)

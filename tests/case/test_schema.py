@@ -229,7 +229,7 @@ eps = 1e-3
 """
 
 
-def test_materials_are_wrapped():
+def test_a_material_may_wrap_another_one():
     """The test builds the paper's energy: the Yosida approximation with the quadratic term."""
     text = CASE.replace("[material]\n", WRAPPED)
     run = simulation(text)

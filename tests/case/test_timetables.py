@@ -81,7 +81,7 @@ def test_bad_tables_are_faults_of_their_keys(tmp_path, old, new, message):
 PRESSED = CASE.replace('kind = "Traction"\nf = { file = "pull.csv" }', 'kind = "Open"\npressure = PRESSURE')
 
 
-def test_a_number_of_a_wall_is_a_table(tmp_path):
+def test_a_number_of_a_wall_may_be_a_table_of_time(tmp_path):
     """A file may begin with a mark of the byte order."""
     table = '{ file = "pull.csv", column = 1 }'
     case = load_case(written(tmp_path, "\ufeff" + PRESSED.replace("PRESSURE", table)))

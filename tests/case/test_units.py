@@ -121,7 +121,7 @@ def test_a_run_in_other_units_is_the_run_in_si():
             assert a == pytest.approx(b, rel=1e-6), name
 
 
-def test_what_is_resolved_is_in_si_and_resolves_to_itself():
+def test_a_resolved_case_is_in_si_and_resolves_to_itself():
     loaded = case(CASE)
     again = case(loaded.resolved)
     assert again.resolved == loaded.resolved and again.hash == loaded.hash
@@ -181,7 +181,7 @@ def test_a_wrong_unit_is_a_fault_of_its_key(setting, message):
         loaded.mesh()
 
 
-def test_a_zero_that_is_none_is_converted_in_numbers_and_is_no_factor():
+def test_a_unit_with_another_zero_converts_numbers_and_is_no_factor():
     assert converted(-20.0, "degC", "K") == pytest.approx(253.15, rel=1e-15)
     assert converted(2.0, "W/(m delta_degC)", "W/(m K)") == pytest.approx(2.0, rel=1e-15)
     with pytest.raises(UnitError, match="degC"):
@@ -189,7 +189,7 @@ def test_a_zero_that_is_none_is_converted_in_numbers_and_is_no_factor():
 
 
 @pytest.mark.parametrize("unit", ["m" * 500, "(", "m**m", "1/0", "m**1e400", "\0", "degC", "-m", "[[", "m;m"])
-def test_no_text_is_more_than_a_unit_error(unit):
+def test_any_wrong_unit_raises_a_unit_error(unit):
     with pytest.raises(UnitError):
         factor(unit, "m")
 

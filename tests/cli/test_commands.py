@@ -58,7 +58,7 @@ def test_the_file_has_units_and_attributes(finished):
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_plot_and_info_and_list(finished, capsys):
+def test_plot_writes_pictures_and_info_and_list_describe_the_run(finished, capsys):
     assert ended("plot", finished, "--fields", "J,velocity,cauchy_stress_12") == 0
     for name in ("energies.png", "history.png", "fields.png"):
         assert (finished / name).read_bytes().startswith(b"\x89PNG")
@@ -117,7 +117,7 @@ def test_check_reports_and_writes_nothing(case_file, capsys, monkeypatch):
     assert list(case_file.parent.iterdir()) == [case_file]
 
 
-def test_set_up_of_a_command_has_its_imports(case_file, capsys, monkeypatch):
+def test_time_of_set_up_includes_the_imports(case_file, capsys, monkeypatch):
     """Imports take longer than all steps of a tiny run; main without arguments is a process of its own."""
     monkeypatch.setattr("ngvisco.cli.main.clock.process_time", lambda: 7200.0)
     monkeypatch.setattr("sys.argv", ["ngvisco", "check", str(case_file)])
@@ -179,7 +179,7 @@ def test_the_estimate_of_time_is_right_within_a_factor(case_file, capsys, tmp_pa
     assert 1 / 1.5 < 100 * each / taken < 1.5, f"{100 * each:.1f} s said, {taken:.1f} s taken"
 
 
-def test_version_and_help(capsys):
+def test_version_and_help_are_printed(capsys):
     assert ended("--version") == 0
     assert capsys.readouterr().out == f"ngvisco {nv.__version__}\n"
     assert ended("--help") == 0
@@ -361,7 +361,7 @@ def test_a_ledger_that_does_not_close_is_loud(case_file, tmp_path, capsys, monke
     assert "ClosureWarning: THE LEDGER" in log and "DOES NOT CLOSE in 4 steps" in log
 
 
-def test_the_end_says_that_it_is_one_and_what_closure_is(case_file, tmp_path, capsys):
+def test_the_last_line_says_that_the_run_ended_and_explains_closure(case_file, tmp_path, capsys):
     assert ended("run", case_file, "-o", tmp_path / "out") == 0
     printed = capsys.readouterr().out
     assert "finished: t = 0.08 s after 4 steps; largest |closure|" in printed

@@ -176,7 +176,7 @@ def test_a_fit_prints_no_command_for_values_without_keys(case, tmp_path):
         ),
     ],
 )
-def test_wrong_input_of_a_fit(case, tmp_path, words, said):
+def test_wrong_input_of_a_fit_is_refused_with_its_reason(case, tmp_path, words, said):
     (tmp_path / "data.csv").write_text("time [ms],kinetic [mJ]\n20,1\n80,1\n")
     code, _, err = command("fit", case, tmp_path / "data.csv", "--by", "material.G_e", *words)
     assert code == 2 and said in err

@@ -41,7 +41,7 @@ def shell(text):
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_new_users_session(clone, capsys):
+def test_the_session_of_the_page_runs_word_for_word(clone, capsys):
     printed = ""
     for language, text in session():  # the blocks are run from top to bottom
         if language == "sh":

@@ -120,7 +120,7 @@ def test_the_density_follows_from_a_referential_one():
     assert speed(run) < 2e-3 < 0.02 < speed(at_rest(soft, cells=(2, 8), equilibrium=None))
 
 
-def test_layers_bodies_and_heat():
+def test_layers_bodies_and_heat_start_in_equilibrium():
     layered = at_rest(density=IfPos(y - 0.5, 1.0, 3.0))
     assert pressures(layered, 0.0, 0.5) == pytest.approx([2.0, 0.5], rel=1e-3) and speed(layered) < 1e-5
     bodies = [

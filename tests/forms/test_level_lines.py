@@ -116,7 +116,7 @@ def test_undone_steps_leave_distances_alone():
     assert np.abs(one.passive.arrays()["distance_disc"] - before).max() > 1e-4
 
 
-def test_what_has_no_outlines_is_refused():
+def test_models_without_outlines_are_refused():
     with pytest.raises(nv.ParameterError, match=r"Discretisation.outlines.*unless interfaces are"):
         nv.Discretisation(outlines=True)
     with pytest.raises(nv.ParameterError, match=r"Discretisation.outlines carries have no derivative"):

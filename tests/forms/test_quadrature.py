@@ -44,7 +44,7 @@ def test_both_sides_of_a_face_see_the_same_points(k: int, m: int) -> None:
     assert len(found) == mesh.nface
 
 
-def test_interpreted_by_default(monkeypatch):
+def test_integrands_are_interpreted_by_default(monkeypatch):
     monkeypatch.delenv(VARIABLE, raising=False)
     monkeypatch.setenv("PATH", "/nowhere")  # nothing is compiled
     mesh = Mesh(unit_square.GenerateMesh(maxh=0.5))
@@ -65,13 +65,13 @@ def test_machine_code_has_the_same_values(monkeypatch):
     assert machine == pytest.approx(given, rel=1e-14)
 
 
-def test_another_word_is_refused(monkeypatch):
+def test_an_unknown_way_of_compilation_is_refused(monkeypatch):
     monkeypatch.setenv(VARIABLE, "yes")
     with pytest.raises(ParameterError, match="NGVISCO_COMPILE = 'yes'"):
         compiled(x)
 
 
-def test_without_a_compiler_it_is_refused(monkeypatch, tmp_path):
+def test_compilation_without_a_compiler_is_refused(monkeypatch, tmp_path):
     monkeypatch.setenv(VARIABLE, "1")
     monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))
     monkeypatch.setenv("PATH", "/nowhere")

@@ -91,7 +91,7 @@ def test_masses_sum_of_amounts_and_energy_are_kept(material, mesh):
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_shares_of_simplices_above_a_value(rng, dim):
+def test_shares_of_simplices_are_those_of_many_points(rng, dim):
     """Shares are compared with those of many points of the simplex, also for equal values; a vertex given
     twice weighs by its lambda."""
     points = rng.dirichlet(np.ones(dim + 1), 200_000)
@@ -466,7 +466,7 @@ def test_an_interface_that_moves_stays_as_wide_as_it_is():
         ({"limiter": False}, "limiter"),
     ],
 )
-def test_what_would_not_hold_is_refused_by_name(options, said):
+def test_models_that_sharp_would_not_conserve_are_refused_by_name(options, said):
     model = options.get("model") or nv.Model(
         bodies=bodies(options.get("material", LINEAR), options.get("density", 1.0))
     )

@@ -86,7 +86,7 @@ def test_motion_that_nothing_holds_is_refused_with_the_remedy(k, m, laws, whose)
 @pytest.mark.parametrize(
     "laws", [{"hyperviscosity": nv.HyperViscosity(mu=1e-4)}, {"viscosity": FAINT}, bodies(FAINT, FAINT)]
 )
-def test_what_holds_it_is_taken(laws):
+def test_a_viscosity_that_holds_the_motion_is_accepted(laws):
     small_run(discretisation=nv.Discretisation(m=0), **laws)
 
 

@@ -58,7 +58,7 @@ def test_bodies_are_carried_through_a_window_and_keep_their_masses():
 @pytest.mark.parametrize(
     "solver", [pytest.param("split", marks=[pytest.mark.long, pytest.mark.ci]), "coupled"]
 )
-def test_heat_is_carried_through(solver):
+def test_heat_is_carried_through_open_walls(solver):
     walls = {
         "left": nv.Inflow(velocity=(1.0, 0.0), density=1.0, temperature=330.0),
         "right": nv.Open(density=1.0, impedance=(1.0, 1.0)),
@@ -209,7 +209,7 @@ def test_stresses_that_differ_are_warned_of_in_slow_straining(given, recwarn):
 
 
 @pytest.mark.parametrize("amounts", [{"bar": 1.0}, {}], ids=["given", "continued"])
-def test_unstrained_amounts_that_flow_into_a_strained_body_are_warned_of(amounts, recwarn):
+def test_unstrained_matter_entering_a_strained_body_brings_a_warning(amounts, recwarn):
     bar = nv.Body(name="bar", material=STRESSED["by B"], density=1.3, viscosity=VISCOUS)
     F = CF((1.05, 0, 0, 0, 1, 0, 0, 0, 1), dims=(3, 3))
     run = nv.Simulation(

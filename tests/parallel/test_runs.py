@@ -629,7 +629,7 @@ FAULTS = {
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_an_error_is_that_of_all_ranks(tmp_path):
+def test_an_error_on_one_rank_is_raised_on_all_ranks(tmp_path):
     """The disk is full or a matrix singular on one rank, or all ranks refuse a step; a warning appears
     once."""
     (tmp_path / "failing.py").write_text(FAILING)

@@ -31,7 +31,7 @@ def test_few_of_many_tensors_are_decomposed():
     assert 1 <= len(least_eigenvalues(tensors)) <= 3
 
 
-def test_none_and_not_a_number():
+def test_no_tensors_have_no_eigenvalue_and_nan_stays_nan():
     assert least_eigenvalues(np.zeros((0, 3, 3))).shape == (0,)
     tensors = np.tile(np.eye(3), (5, 1, 1))
     tensors[2] = np.nan

@@ -73,7 +73,7 @@ HARDENING = {"none": None, "linear": RULES["linear hardening"], "Voce": RULES["V
 
 
 @pytest.mark.parametrize(("name", "rule", "heat"), each_once(MATERIALS, HARDENING, [False, True]))
-def test_the_stress_is_one(name, rule, heat):
+def test_one_body_has_the_stress_of_its_material(name, rule, heat):
     material = MATERIALS[name]
     if heat:
         material = nv.Thermal(material=material, c=2.0, theta_R=300.0, expansion=1e-3)

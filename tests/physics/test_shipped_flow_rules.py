@@ -134,7 +134,7 @@ def test_stress_and_rate_make_what_is_given(name):
 
 
 @pytest.mark.parametrize("name", ["Norton, n = 3", "Bingham"])
-def test_a_rate_that_is_no_multiple_of_its_stress(name):
+def test_a_resolvent_exists_for_rates_that_are_no_multiples_of_their_stress(name):
     rate = at_points(RULES[name], turned=True)
     M, _ = resolved(rate, Y, 0.1)
     assert (np.linalg.norm(M + 0.1 * rate(M) - Y, axis=1) <= 1e-11 * np.linalg.norm(Y, axis=1)).all()

@@ -117,7 +117,7 @@ def test_singular_energies_become_finite_everywhere(name: str, J: float) -> None
     assert found.finite.all()
 
 
-def test_start_values_outside_the_domain_of_a_users_energy() -> None:
+def test_a_users_energy_has_a_minimiser_from_outside_of_its_domain() -> None:
     """The energy has log Det F alone, without J: it is no number for det F < 0, and the iteration starts
     from rest there."""
     material = nv.CustomMaterial(
@@ -129,7 +129,7 @@ def test_start_values_outside_the_domain_of_a_users_energy() -> None:
     assert np.linalg.det(y.reshape(3, 3)) > 0
 
 
-def test_failures_say_what_is_wrong() -> None:
+def test_an_approximation_without_a_minimum_names_the_reason() -> None:
     material = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: -10 * (J - 1) * (J - 1))
     response = respond(nv.Yosida(material=material, eps=1.0), 2)(np.array([[1.2]]))
     assert response.failure is not None and "eps = 1" in response.failure

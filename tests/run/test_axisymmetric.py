@@ -97,7 +97,7 @@ def test_wall_forces_bear_a_weight():
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_poiseuille_in_a_pipe(solver):
+def test_flow_in_a_pipe_is_poiseuilles(solver):
     """P_2 contains the exact v_y = rho g (R^2 - r^2)/(4 G_v), which is 1/4 at the axis, twice its mean."""
     run = about_the_axis(
         structured_box((1, 0.5), (3, 1), periodic="y"),

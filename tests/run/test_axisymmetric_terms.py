@@ -127,7 +127,7 @@ until = 0.04
 """
 
 
-def test_a_case_file_says_it(tmp_path):
+def test_a_case_file_sets_the_symmetry(tmp_path):
     """With domain.symmetry the mass is that of a cylinder over 2 pi, and the case differs from that in plane
     strain."""
     case, plane = (

@@ -139,7 +139,7 @@ def test_energies_of_bodies_are_jointly_convex(name):
 
 
 @pytest.mark.parametrize(("m", "scheme"), [by_ci(0, "sdirk2"), (2, "midpoint")])
-def test_other_orders_and_schemes(m, scheme):
+def test_ledger_of_bodies_closes_for_other_orders_and_schemes(m, scheme):
     run = simulation("solid in a fluid", m=m, scheme=scheme)
     before = masses(run)
     run.run(0.06)
@@ -262,7 +262,7 @@ class Growth(PointTerm):
         ),
     ],
 )
-def test_what_the_bodies_say_is_not_said_of_all(options, match):
+def test_arguments_that_bodies_have_are_refused_for_the_whole_model(options, match):
     with pytest.raises(nv.ParameterError, match=match):
         small_run(bodies=[disc(), rest()], **options)
 

@@ -76,7 +76,7 @@ def test_a_comparison_has_the_chosen_fields_of_probes(runs, tmp_path, drawn):
         (["--section", "x"], "--section = 'x'"),
     ],
 )
-def test_what_is_of_one_run_is_refused_of_several(runs, capsys, words, message):
+def test_options_of_one_run_are_refused_for_several(runs, capsys, words, message):
     assert main(["plot", str(runs / "a"), str(runs / "b"), *words]) == 2
     assert message in capsys.readouterr().err
 

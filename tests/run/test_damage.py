@@ -198,7 +198,7 @@ def left_of_a_crack(area, stretch):
     each_once([(1.0, 0.0), (1.5, 0.0), (2.0, 0.0), (1.25, 0.25)], ["reference", "actual"]),
     ids=str,
 )
-def test_energy_of_a_crack_in_a_body_that_starts_stretched(stretched, area):
+def test_a_body_that_starts_stretched_has_the_crack_energy_of_its_reference(stretched, area):
     stretch, shear = stretched
     """d of X = (x - shear y)/stretch, F = ((stretch, shear), (0, 1)), whose transpose is seen."""
     mesh = structured_box((3.0, 0.2), (60, 2))

@@ -125,7 +125,7 @@ def test_solvers_agree_and_the_ledger_closes_where_it_drives_the_flow(term, sche
     assert stored[0] == pytest.approx(stored[1], rel=1e-12)
 
 
-def test_error_estimate_counts_it():
+def test_the_error_estimate_counts_evolving_unknowns():
     """In a body at rest nothing else changes: the estimate is a third of theta_2 - 2 theta_1 + theta_0, over
     theta_2."""
     model = nv.Model(material=MODEL.material)
@@ -149,7 +149,7 @@ def test_restart_is_bitwise(tmp_path):
 
 
 @pytest.mark.parametrize("place", ["continuous", "cells"])
-def test_transfer_carries_it_over(place):
+def test_a_transfer_keeps_evolving_unknowns(place):
     """A linear field is transferred exactly, with its energy."""
     terms = [Relaxation(), Relaxation()]
     for term in terms:

@@ -60,7 +60,7 @@ def test_principal_stretches_are_the_singular_values_of_F(name):
     assert at(run, "principal_stresses") == pytest.approx(np.linalg.eigvalsh(T)[::-1], abs=1e-10)
 
 
-def test_principal_stretches_of_the_linearised_model_and_of_fluids():
+def test_principal_stretches_exist_by_E_and_not_for_fluids():
     stretch = sqrtm(F_0 @ F_0.T).real
     run = simulation(nv.LinearElastic(K_e=2.0, G_e=1.0), F=CF(tuple(stretch.ravel()), dims=(3, 3)))
     assert at(run, "principal_stretches") == pytest.approx(np.linalg.eigvalsh(stretch)[::-1], rel=1e-10)
@@ -117,7 +117,7 @@ def test_series_has_them_by_name_only(tmp_path):
 
 
 @pytest.mark.parametrize("start", ["F", "H and J"])
-def test_F_tot_starts_from_what_tells_F(start):
+def test_F_tot_starts_from_the_variables_that_determine_F(start):
     J, F = np.linalg.det(F_0), CF(tuple(F_0.ravel()), dims=(3, 3))
     given = {"F": F} if start == "F" else {"values": {"H": J ** (-5 / 6) * F, "J": J}}
     material = nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0, elastic_state="F")

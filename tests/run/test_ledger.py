@@ -286,7 +286,7 @@ def test_linearised_material_has_no_jacobian() -> None:
     assert np.isnan(row["J_min"]) and np.isnan(row["J_defect"])
 
 
-def test_speed_and_cfl_number() -> None:
+def test_speed_and_cfl_number_are_those_of_the_velocity() -> None:
     mesh = box((1, 1), 0.5)
     run = nv.Simulation(mesh, nv.Model(material=Case().model.material), dt=0.1)
     parts_of(run.rothe_step)["v"].Set(CF((3, 4)))

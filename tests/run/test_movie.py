@@ -288,7 +288,7 @@ def test_browser_draws_the_field(tmp_path, size):
     assert len(np.unique(np.round(row[drawn], 2), axis=0)) > 50
 
 
-def test_unknown_fields_and_tensors(tmp_path):
+def test_unknown_fields_and_tensors_are_refused_for_a_scene(tmp_path):
     mesh = box((1, 1), maxh=0.7)
     tensor = CF((x, 0, 0, 0, y, 0, 0, 0, 1), dims=(3, 3))
     fields = {"velocity": CF((x, y)), "density": CF(1.0), "F": tensor}

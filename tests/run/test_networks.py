@@ -277,7 +277,7 @@ def test_a_model_refuses_what_does_not_go_with_a_network():
         nv.Model(material=nv.WithQuadratic(material=Network(branches=fluid), delta=1e-4))
 
 
-def test_a_branch_of_ones_own_that_is_not_convex_is_named():
+def test_a_users_branch_that_is_not_convex_is_named():
     own = nv.CustomMaterial(
         transported=(LeftCauchyGreen(exponent=-2 / 3), Jacobian()),
         stored_energy=lambda B, J: 2 * tr(B) - 0.1 * tr(B) * tr(B) + J + 1 / J,

@@ -24,7 +24,7 @@ def model(p=None, loads=()):
 
 
 @pytest.mark.parametrize("periodic", ["x", "xy", "xyz"])
-def test_a_box_periodic_in_some_directions(periodic):
+def test_a_box_periodic_in_some_directions_conserves_energy_and_mass(periodic):
     """Material is carried through the identified walls, at which both sides share their unknowns."""
     mesh = box((1, 1, 1), 0.6, periodic=periodic)
     through = [1.0 if name in periodic else 0.0 for name in "xyz"]
@@ -80,7 +80,7 @@ def assert_no_flux(run):
 
 
 @pytest.mark.parametrize("k", [2, pytest.param(3, marks=pytest.mark.long)])
-def test_rounded_rectangle_with_a_hole(k):
+def test_a_rounded_rectangle_with_a_hole_conserves_energy_and_mass(k):
     mesh = block_with_hole((1.4, 1.0), 0.25, 0.5, fillet=0.35)
     assert set(mesh.GetBoundaries()) == {"left", "right", "bottom", "top", "hole", "fillet"}
     initial = nv.Initial(density=1 + 0.2 * x, velocity=(sin(pi * y), -sin(pi * x)))
@@ -110,7 +110,7 @@ def part():
 
 @pytest.mark.long  # 85 cells
 @pytest.mark.ci
-def test_filleted_part_with_a_hole():
+def test_a_filleted_part_with_a_hole_conserves_energy_and_mass():
     shape = part()
     coarse = {"curvaturesafety": 1.2, "grading": 0.7, "segmentsperedge": 0.5}
     mesh = Mesh(occ.OCCGeometry(shape).GenerateMesh(maxh=1.0, parallel_meshing=False, **coarse)).Curve(3)

@@ -102,7 +102,7 @@ def test_torque_on_a_curved_wall_takes_the_angular_momentum():
     assert forces.column("wall.torque")[0] == pytest.approx(0.5 * 0.1 * 2 * math.pi, rel=0.1)
 
 
-def test_forces_and_momentum_of_a_periodic_strip_of_one_cell():
+def test_forces_of_a_periodic_strip_of_one_cell_balance_its_momentum():
     """A cell that meets its own periodic image has one vertex twice; the shear stress does not depend on the
     strip's length."""
     found = []

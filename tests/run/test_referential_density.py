@@ -183,7 +183,7 @@ until = 0.04
 """
 
 
-def test_energy_of_a_case_per_mass_and_per_referential_volume():
+def test_an_energy_per_mass_differs_from_that_per_volume_by_the_density():
     def material(*settings, head=""):
         return parse_case(head + CUSTOM, "case", Path("."), settings).model(2).material
 

@@ -199,7 +199,7 @@ def test_a_probe_of_a_field_that_is_carried_otherwise_has_the_slope_of_each_time
     assert np.allclose(adjoint, tangent, rtol=1e-8, atol=0)
 
 
-def test_the_density_of_the_density():
+def test_the_derivative_by_the_density_field_sums_to_that_by_a_number():
     """If the whole density changes by one share, the integral is the number's own derivative."""
     simulation = run()
     found = nv.gradient(simulation, UNTIL, of=OF, by=["initial.density"], method="adjoint")

@@ -119,7 +119,7 @@ def test_derivatives_are_limits_of_central_differences(method):
 
 
 @pytest.mark.long
-def test_forces_and_stresses_in_three_dimensions():
+def test_forces_and_stresses_in_three_dimensions_have_derivatives():
     start = nv.Initial(velocity=(y * (1 - y) * z * x * (1 - x), 0, 0))
     given = {"mesh": structured_box((1, 1, 1), (1, 1, 1)), "initial": start, "scheme": "backward-euler"}
     make = partial(bodies, measures=("stress", "traction"), **given)

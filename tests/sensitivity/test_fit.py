@@ -117,7 +117,7 @@ def test_a_file_has_units(tmp_path):
         ("time,kinetic\n0.1,inf\n", "expected a finite number"),
     ],
 )
-def test_tables_that_are_none_are_refused(tmp_path, text, said):
+def test_invalid_tables_of_data_are_refused(tmp_path, text, said):
     (tmp_path / "data.csv").write_text(text)
     with pytest.raises(nv.DataError, match=said):
         Data.of(tmp_path / "data.csv")

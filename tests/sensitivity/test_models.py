@@ -62,7 +62,7 @@ def smoothed(eps, **options):
     ],
     ids=["bodies", "heat by split", "yield", "Yosida"],
 )
-def test_both_are_what_differences_tend_to(make, name, value, options):
+def test_tangents_and_adjoints_are_limits_of_differences(make, name, value, options):
     tangent, adjoint = (
         nv.gradient(make(value, **options), UNTIL, of=OF, by=[name], method=method).jacobian[:, 0]
         for method in ("tangent", "adjoint")

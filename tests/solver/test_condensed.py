@@ -47,7 +47,7 @@ def test_what_the_largest_heap_does_not_hold_is_a_failed_step(sizes):
     assert sizes == list(HEAP_SIZES)
 
 
-def test_a_cell_s_matrix_that_units_make_singular_is_said_with_the_remedy():
+def test_a_matrix_that_is_singular_by_the_units_is_reported_with_the_remedy():
     """In SI units a slab in a weak medium, with 1e11 Pa and steps of 1 kyr, has such matrices; in km and kyr
     it has none."""
     form = Form("CalcLU: matrix singularin AssembleLinearization\n")

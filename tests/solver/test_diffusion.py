@@ -111,12 +111,12 @@ def test_a_material_without_the_variable_is_refused_by_name():
         ({"discretisation": nv.Discretisation(m=0)}, "no gradient"),
     ],
 )
-def test_what_cannot_be_is_refused(parts, message):
+def test_impossible_diffusion_is_refused_with_the_reason(parts, message):
     with pytest.raises(Exception, match=message):
         run_of(maxh=0.6, **parts)
 
 
-def test_a_wall_says_something():
+def test_a_wall_that_exchanges_nothing_is_refused():
     with pytest.raises(ParameterError, match="a flux, or a potential and a coefficient"):
         nv.WallExchange()
     with pytest.raises(ParameterError, match="have to be given together"):

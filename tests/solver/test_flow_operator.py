@@ -92,7 +92,7 @@ def derivative(split, at, dv, rows):
     return (values[0] - values[1]) / (2 * STEP)
 
 
-def test_inertia_convection_and_viscosity(run):
+def test_the_operator_has_inertia_convection_and_viscosity(run):
     v = linear(run, lambda x, y: (1 + 2 * y - x, x + 0.5 * y))
     split, at, operator = prepared(run, v)
     operator.from_fields[:] = 0.0  # the response of the fields is left out here
@@ -207,7 +207,7 @@ def test_conduction_is_the_rows_derivative_at_a_uniform_temperature(run):
 
 
 @pytest.mark.parametrize("run", [None, nv.Creep(G_m=4.0)], indirect=True)
-def test_the_fields_systems_are_solved_beyond_what_sweeps_invert(run):
+def test_the_fields_systems_are_solved_where_sweeps_alone_fail(run):
     """dz and drho are recovered from their rows in a step with a strain of six tenths and a Courant number
     of 2."""
     v = linear(run, lambda x, y: (1.2 * x - 0.5 * y, 0.5 * x - 1.2 * y))

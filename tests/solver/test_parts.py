@@ -38,7 +38,7 @@ def solved(threads=1, points=None, monkeypatch=None, **parts):
 @pytest.mark.parametrize(
     "parts", [pytest.param({}, id="elastic"), by_ci({"creep": nv.Creep(G_m=5.0)}, id="creeping")]
 )
-def test_parts_and_threads(parts, monkeypatch):
+def test_parts_change_rounding_only_and_threads_no_bit(parts, monkeypatch):
     _, whole = solved(**parts)
     run, serial = solved(1, 40, monkeypatch, **parts)
     assert len(run.solver.newton.residual.parts) >= 6

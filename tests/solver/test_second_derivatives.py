@@ -75,7 +75,7 @@ def test_wrong_second_derivative_is_refused(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 @BOTH
-def test_modulus_at_rest(energy: Callable[..., Tensor], kind: type) -> None:
+def test_modulus_at_rest_is_the_closed_form(energy: Callable[..., Tensor], kind: type) -> None:
     """J phi at F = J^(1/3) I is 1.8 J^(5/3) + .6 J^(7/3) + .3 J^(2/3) + 4 J^2 + 4 - 12.6 J."""
     powers, factors = np.array([5 / 3, 7 / 3, 2 / 3, 2.0, 1.0]), np.array([1.8, 0.6, 0.3, 4.0, -12.6])
     stress, modulus = rest_stress_and_modulus(material(energy))
@@ -86,7 +86,7 @@ def test_modulus_at_rest(energy: Callable[..., Tensor], kind: type) -> None:
 @pytest.mark.parametrize(
     "energy, kind", [(by_the_package, ArrayResponse), by_ci(by_ngsolve, ExpressionResponse)]
 )
-def test_both_solvers_run_it(energy: Callable[..., Tensor], kind: type) -> None:
+def test_both_solvers_run_a_users_energy_with_a_cofactor(energy: Callable[..., Tensor], kind: type) -> None:
     """Newton's method takes few iterations, and the ledger closes with the diffusion of the fields, whose
     equation contains phi''."""
     model = nv.Model(material=material(energy), regularisation=nv.Regularisation(delta_fields=0.01))

@@ -16,7 +16,7 @@ from ngvisco.sweep.variations import SweepError, Variation, combinations
         ("initial.density=max(x,y),2", ("max(x,y)", "2")),
     ],
 )
-def test_commas_within_brackets_and_quotes_part_no_values(text, values):
+def test_commas_within_brackets_and_quotes_do_not_separate_values(text, values):
     assert Variation.parse(text) == Variation(text.partition("=")[0], values)
 
 
@@ -36,7 +36,7 @@ def test_all_combinations_are_made_the_last_key_first():
     assert found[3].values == {"material.G_e": "2", "time.dt": "0.2"} and len(found) == 4
 
 
-def test_a_key_is_varied_once_and_something_is():
+def test_an_empty_or_repeated_variation_is_refused():
     for variations in ([], [Variation("a", ("1",)), Variation("a", ("2",))]):
         with pytest.raises(SweepError):
             combinations(variations)

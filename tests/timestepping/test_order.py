@@ -88,7 +88,7 @@ CURVED = "traction on a curved slip wall"
         *(pytest.param(name, "sdirk2", marks=pytest.mark.long) for name in SETTINGS),
     ],
 )
-def test_runs_are_of_second_order_with(name, scheme):
+def test_runs_are_of_second_order_with_further_terms(name, scheme):
     curved = {"mesh": disc(1, 0.8), "solver": "split"} if name == CURVED else {}
     found = in_time(scheme, **SETTINGS[name], **curved)
     assert min(found.values()) >= 1.9, found

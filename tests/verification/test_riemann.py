@@ -16,7 +16,7 @@ def test_weak_waves_are_acoustic():
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_star_states_of_impact_and_expansion():
+def test_star_states_of_impact_and_expansion_are_right_to_two_per_cent():
     run = solved(0.2, 40)
     assert run.ledger.column("rejections").sum() == 0
     assert np.abs(run.ledger.column("closure_relative")).max() <= 1e-10
