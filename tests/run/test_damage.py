@@ -262,7 +262,7 @@ def test_steps_are_chosen_by_the_growth_of_the_damage():
         Simulation(box((1, 1), maxh=0.9), nv.Model(material=RUBBER), dt=0.1, adaptive=adaptive)
 
 
-def test_one_area_of_small_strains_is_no_choice():
+def test_small_strains_refuse_a_reference_area():
     with pytest.raises(nv.ParameterError, match=r"Damaged\.area.*'actual'.*small strain"):
         damaged(material=nv.LinearElastic(K_e=20.0, G_e=5.0), area="reference")
 

@@ -1,6 +1,7 @@
 """Work of derivatives, counted in matrices, solves and residuals: no other process changes these numbers.
 
-They are not times: a matrix takes much longer than a solve (``ngvisco/sensitivity/NOTES.md``)."""
+The numbers do not measure time: a matrix takes much longer than a solve
+(``ngvisco/sensitivity/NOTES.md``)."""
 
 from collections import Counter
 
