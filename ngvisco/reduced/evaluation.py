@@ -17,6 +17,7 @@ import numpy as np
 from ngsolve import CF, CoefficientFunction, GridFunction
 
 from ngvisco.forms.fields import Fields, Tests
+from ngvisco.forms.impulses import OnSides
 from ngvisco.forms.rates import TabulatedRates
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import PointRule, PointTerm
@@ -359,6 +360,14 @@ class FacetTerms(_Terms):
         """The integrals over the sides of the range ``cells`` only, as loads; ``summed`` and ``rows`` need
         all cells."""
         return FacetTerms(self._step, self.op.part(cells), self.context.samples)
+
+    def loads_by_names(self, integrands: OnSides, u: Fields) -> Rows:
+        """Loads of v of integrands, by the integrands' names."""
+        return {
+            name: self.op.v.loads(self._full(factors_of(parts)["v"]))
+            for name, parts in integrands(u, self._tests).items()
+            if parts
+        }
 
     def loads_of(self, term: PointTerm, name: str, u: Fields) -> np.ndarray:
         """Loads of the equation of the facet unknown ``name``, evaluated with this unknown set to zero.

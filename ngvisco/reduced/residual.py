@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeAlias
@@ -37,7 +37,7 @@ from ngvisco.reduced.diffusion import FieldDiffusionRows
 from ngvisco.reduced.evaluation import CellTerms, Coefficients, FacetTerms
 from ngvisco.reduced.hyperviscosity import HyperValues, MatrixHyperviscosity
 from ngvisco.reduced.operators import FacetMass, Operators, SideOperators
-from ngvisco.reduced.point_fields import CELLS, FACETS, NotAtPointsError
+from ngvisco.reduced.point_fields import CELLS, FACETS
 from ngvisco.reduced.programs import Programs
 from ngvisco.reduced.restricted_form import RestrictedForm
 from ngvisco.reduced.slope import PointwiseSlope
@@ -277,35 +277,7 @@ class ReducedResidual:
             self.step.local_unknowns.update_stored()
         return Evaluation(x, c, hyper, self._packed(x, rows), (self.cell_terms, self.facet_terms))
 
-    def on_sides(self) -> Iterator[tuple[Fields, slice]]:
-        """z, its trace and its conjugates in the step's state, at the points of some cells' sides.
-
-        Each item has a part of the points, because values at all points at once would take more memory than
-        the iteration."""
-        c = self._of_state(("z", "z_hat", "zeta"))
-        return ((part.sides.fields(c), part.sides.op.places) for part in self.parts)
-
-    def dissipated_on_sides(self) -> dict[str, float]:
-        """The terms' dissipation on the cells' sides in the step's state, W, by the ledger's names.
-
-        Terms that read values which arrays do not have are left out."""
-        c = self._of_state(self.facet_terms.names)
-
-        def totals(part: CellPart) -> dict[str, float]:
-            u, sums = part.sides.fields(c), dict[str, float]()
-            for term in self.at_points:
-                try:
-                    of_term = term.dissipated_on_facets(u)
-                except NotAtPointsError:
-                    continue
-                for name, power in of_term.items():
-                    sums[name] = float((part.sides.op.weights * power.value).sum())
-            return sums
-
-        parts = self.share(totals, self.parts)
-        return {name: self.ranks.total(sum(sums[name] for sums in parts)) for name in parts[0]}
-
-    def _of_state(self, names: Iterable[str]) -> dict[str, np.ndarray]:
+    def of_state(self, names: Iterable[str]) -> dict[str, np.ndarray]:
         """Coefficients of unknowns in the step's state, see ``Coefficients``."""
         state, layout = self.unknowns.state, self.step.layout
         sizes = {name: layout.unknowns[name].size for name in names if name in layout.ranges}

@@ -19,6 +19,7 @@ from ngvisco.parallel.exchange import Exchange
 from ngvisco.solver.newton import Newton
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.problem import Attempt, BlockNorm, Interval, Problem, Solution, Status
+from ngvisco.solver.split.on_sides import dissipated_on_sides, rows_on_sides
 from ngvisco.solver.split.solver import Split
 from ngvisco.solver.start import Extrapolation, KeptState
 from ngvisco.solver.turns import Turns
@@ -148,17 +149,15 @@ class RotheSolver:
             self.step.energy.lacked(self.step.now)
         return False
 
-    def on_sides(self) -> OnSides | None:
-        """The split solver's arrays of the state at the points of the cells' sides; None with the coupled
-        solver."""
-        if not isinstance(self.newton, Split):
-            return None
-        return self.newton.residual.side_op.points, self.newton.residual.on_sides()
+    def on_sides(self, integrands: OnSides) -> dict[str, np.ndarray]:
+        """Rows of v of the integrands on the cells' sides, from the split solver's arrays; empty with the
+        coupled solver."""
+        return rows_on_sides(self.newton.residual, integrands) if isinstance(self.newton, Split) else {}
 
     def dissipated_on_sides(self) -> dict[str, float]:
         """The terms' dissipation on the cells' sides, W, from the split solver's arrays; empty with the
         coupled solver."""
-        return self.newton.residual.dissipated_on_sides() if isinstance(self.newton, Split) else {}
+        return dissipated_on_sides(self.newton.residual) if isinstance(self.newton, Split) else {}
 
     def problem(self, interval: Interval) -> RotheProblem:
         """The problem of a step over the interval."""

@@ -1,0 +1,49 @@
+"""Integrals over the cells' sides in the step's state, by arrays, for the ledger.
+
+Values at all points at once would take more memory than the iteration. Each function therefore works part by
+part.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ngvisco.forms.impulses import OnSides
+from ngvisco.reduced.point_fields import NotAtPointsError
+from ngvisco.reduced.residual import CellPart, ReducedResidual
+
+
+def rows_on_sides(residual: ReducedResidual, integrands: OnSides) -> dict[str, np.ndarray]:
+    """Rows of v, of this rank's cells, by the names of the integrands, (unknowns of v,)."""
+    c = residual.of_state(residual.facet_terms.names)
+    parts = residual.share(
+        lambda part: part.sides.loads_by_names(integrands, part.sides.fields(c)), residual.parts
+    )
+    loads = {name: np.concatenate([of[name] for of in parts], axis=-1) for name in parts[0]}
+    return {name: residual.side_op.v.summed(values).ravel() for name, values in loads.items()}
+
+
+def dissipated_on_sides(residual: ReducedResidual) -> dict[str, float]:
+    """The terms' dissipation, W, by the ledger's names.
+
+    Terms that read values which arrays do not have are left out."""
+    c = residual.of_state(residual.facet_terms.names)
+
+    def totals(part: CellPart) -> dict[str, float]:
+        u, sums = part.sides.fields(c), dict[str, float]()
+        for term in residual.at_points:
+            try:
+                of_term = term.dissipated_on_facets(u)
+            except NotAtPointsError:
+                continue
+            for name, power in of_term.items():
+                sums[name] = float((part.sides.op.weights * power.value).sum())
+        return sums
+
+    parts = residual.share(totals, residual.parts)
+    if residual.hyper is not None:
+        x = residual.unknowns.coefficients(residual.unknowns.pack())
+        square = residual.of_state(["hess_square"]).get("hess_square")
+        parts.append(residual.hyper.dissipated_on_sides(x["v"], x["a"], x["z"], square))
+    names = dict.fromkeys(name for sums in parts for name in sums)
+    return {name: residual.ranks.total(sum(sums.get(name, 0.0) for sums in parts)) for name in names}
