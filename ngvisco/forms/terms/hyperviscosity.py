@@ -75,17 +75,23 @@ class Hyperviscosity(PointTerm):
 
     def penalty(self, u: Fields) -> tuple[CoefficientFunction, CoefficientFunction | None]:
         """Penalties sigma/h c(s~) and sigma/h c'(s~) |j|^2, the second None if c' = 0; s~ is ``size``."""
-        law, h = self.law, u.context.h
-        weight = law.penalty / h
+        law, weight = self.law, self.law.penalty / u.context.h
         if law.is_linear:
             return weight * law.linear(u.z_tensors), None
-        size, z = self.size(u), u.z_tensors
-        return weight * law.coefficient(size, z), weight * law.slope(size, z) * square(u.jump)
+        penalty = u.once("penalty", lambda: weight * law.coefficient(self.size(u), u.z_tensors))
+        return penalty, self.penalty_slope(u) * square(u.jump)
+
+    def penalty_slope(self, u: Fields) -> CoefficientFunction:
+        """Slope of the penalty, sigma/h c'(s~)."""
+        law, h = self.law, u.context.h
+        return u.once("slope of the penalty", lambda: law.penalty / h * law.slope(self.size(u), u.z_tensors))
 
     def size(self, u: Fields) -> CoefficientFunction:
         """Squared size s~ = s + |j|^2/h^2 + chi^2 on a cell's boundary, 1/(m s)^2."""
         c = u.context
-        return u.hess_square + square(u.jump) / (c.h * c.h) + c.curvature * c.curvature
+        return u.once(
+            "size", lambda: u.hess_square + square(u.jump) / (c.h * c.h) + c.curvature * c.curvature
+        )
 
     def stiffness(self, u: Fields) -> CoefficientFunction:
         """Factor sigma/h c + sigma/h^3 c' |j|^2 of j in the equations of v and a."""

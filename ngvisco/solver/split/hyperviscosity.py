@@ -45,10 +45,12 @@ class HyperDerivative:
         self.side_weights = self.sides.weights.reshape(self.cells, self.sides.jump.per_cell)
         self._volume = self.weights.max(initial=0.0) or 1.0
         self.of_component = self._together()
-        self._at_points = hyper.h_values.blocks.swapaxes(1, 2).astype(self.dtype)
+        self._at_points = _Interpolated(hyper.h_values.blocks)
         if not hyper.law.is_linear:
-            squares = (hyper.s_values.blocks, self.sides.scalar.blocks)
-            self._s_points, self._s_sides = (square.astype(self.dtype) for square in squares)
+            self._s_points = _Interpolated(hyper.s_values.blocks)
+            self._s_sides = _Interpolated(self.sides.scalar.blocks)
+            self._shares = (shares := self.weights / self._volume).astype(self.dtype)[:, None]
+            self._s_inverse = np.linalg.inv(squared(hyper.s_values.blocks, None, shares)).astype(self.dtype)
 
     def _together(self) -> LocalMatrix:
         """The matrix B of the module's docstring.
@@ -73,31 +75,29 @@ class HyperDerivative:
         self._unit = unit = largest(c)
 
         def rounded(values: np.ndarray, unit: float) -> np.ndarray:
-            """Scale by ``unit``, because numbers in SI units may exceed the range of single precision."""
-            return (values / unit).astype(self.dtype)
+            """Scale by ``unit``, because numbers in SI units may exceed the range of single precision; add an
+            axis for components."""
+            return (values / unit).astype(self.dtype)[:, None]
 
-        self._c = rounded(c, unit)[:, None, None]
-        self._penalty = rounded(self.side_weights * penalty.reshape(shape), unit)
+        def of_sides(values: np.ndarray, unit: float) -> np.ndarray:
+            return rounded(self.side_weights * values.reshape(shape), unit)
+
+        self._c, self._penalty = rounded(c, unit), of_sides(penalty, unit)
         if hess_square is None:
             return
-        hessian = h.h_values(at.local["hess"]).reshape(h.dim, h.size, *weights.shape).transpose(2, 0, 1, 3)
+        hessian = h.h_values(at.local["hess"]).reshape(h.dim * h.size, *weights.shape).swapaxes(0, 1)
         j = on_sides.jump.value.reshape(h.dim, *shape).swapaxes(0, 1)
         H, J = largest(hessian), largest(j)
-        self._hessian, self._j = rounded(hessian, H), rounded(j, J)
-        size, squared = h.term.size(on_sides), sides.h**2
-        slope = law.penalty / sides.h * law.slope(size, on_sides.z_tensors).value
-        bend = 0.5 * (law.p - 4) * slope / size.value * np.einsum("cip,cip->cp", j, j).ravel()  # c'' |j|^2
+        self._hessian, self._j = ((part / unit).astype(self.dtype) for part, unit in ((hessian, H), (j, J)))
+        size, squared_h = h.term.size(on_sides).value, sides.h**2
+        slope = h.term.penalty_slope(on_sides).value
+        bend = 0.5 * (law.p - 4) * slope / size * np.einsum("cip,cip->cp", j, j).ravel()  # c'' |j|^2
         # second derivatives by s = P |Hs|^2 and q = |j|^2, a symmetric matrix
         s_slope = law.slope(Array(h.s_values(hess_square), None), h.tensors(at.z)).value
         self._s_slope = rounded(weights * s_slope.reshape(weights.shape), unit / H**2)
-        self._ss, self._sq, self._qq = (
-            rounded(self.side_weights * values.reshape(shape), unit / units)
-            for values, units in (
-                (bend, H**2),
-                (slope + bend / squared, H * J),
-                ((2 * slope + bend / squared) / squared, J**2),
-            )
-        )
+        self._ss, of_s = of_sides(bend, unit / H**2), slope + bend / squared_h
+        self._sq = of_sides(of_s, unit / (H * J))
+        self._qq = of_sides((slope + of_s) / squared_h, unit / J**2)
 
     def _on_sides(self, at: HyperValues) -> Fields:
         jumps = at.jumps if self.sides is self.hyper.sides else self.sides.jump(at.x)
@@ -113,35 +113,27 @@ class HyperDerivative:
         split, rows = h.lift.per_cell, (self.cells, h.dim * h.size)
         values = self.of_component.by_cells(x.T / length)
         dj = self.sides.jump.from_nodes(values[..., split:])
-        dH = np.matmul(values[..., :split].reshape(*rows, h.h_values.local), self._at_points)
-        dH = dH.reshape(self.cells, h.dim, h.size, h.h_values.per_cell)
-        of_H, of_j = self._c * dH, self._penalty[:, None] * dj
+        dH = self._at_points(values[..., :split].reshape(*rows, h.h_values.local))
+        of_H, of_j = self._c * dH, self._penalty * dj
         if not h.law.is_linear:
             self._bend(dH, dj, of_H, of_j)
-        tested = np.matmul(of_H.reshape(*rows, h.h_values.per_cell), self._at_points.swapaxes(1, 2))
-        at_nodes = self.sides.jump.to_nodes(of_j)
-        loads = np.concatenate([tested.reshape(self.cells, h.dim, split), at_nodes], axis=2)
+        tested = self._at_points.tested(of_H).reshape(self.cells, h.dim, split)
+        loads = np.concatenate([tested, self.sides.jump.to_nodes(of_j)], axis=2)
         return np.float64(self._unit * length) * self.of_component.tested(loads).T
 
     def _bend(self, dH: np.ndarray, dj: np.ndarray, of_H: np.ndarray, of_j: np.ndarray) -> None:
         """Add to the loads of Hs and j the contributions of changes of s = P |Hs|^2 and q = |j|^2."""
         at_points, at_sides = self._s_points, self._s_sides
-        w = (self.weights / self._volume).astype(self.dtype)
-        dq = 2 * np.einsum("cip,cip->cp", self._j, dj)
-        tested = (2 * w) * np.einsum("cibp,cibp->cp", self._hessian, dH)
-        ds = self._projected(_transposed(at_points, tested))
-        ds_sides = np.matmul(at_sides, ds)[..., 0]
-        of_j += (self._sq * ds_sides + self._qq * dq)[:, None] * self._j
+        w = self._shares
+        dq = 2 * np.einsum("cip,cip->cp", self._j, dj)[:, None]
+        tested = 2 * w * np.einsum("cip,cip->cp", self._hessian, dH)[:, None]
+        ds = np.matmul(at_points.tested(tested), self._s_inverse)
+        ds_sides = at_sides(ds)
+        of_j += (self._sq * ds_sides + self._qq * dq) * self._j
         # the change of the coefficient c_s = P c(s) + facets
-        dc = _transposed(at_points, self._s_slope * np.matmul(at_points, ds)[..., 0])
-        dc += _transposed(at_sides, self._ss * ds_sides + self._sq * dq)
-        change = np.matmul(at_points, self._projected(dc))[..., 0] * w
-        of_H += self._hessian * change[:, None, None]
-
-    def _projected(self, loads: np.ndarray) -> np.ndarray:
-        """Coefficients of a projection from its loads, (cells, functions, 1), divided by the largest
-        weight."""
-        return (self.hyper.s_inverse @ loads.ravel() * self._volume).reshape(loads.shape).astype(self.dtype)
+        dc = at_points.tested(self._s_slope * at_points(ds))
+        dc += at_sides.tested(self._ss * ds_sides + self._sq * dq)
+        of_H += self._hessian * (w * at_points(np.matmul(dc, self._s_inverse)))
 
     def tangent_coefficients(self, at: HyperValues) -> tuple[np.ndarray, np.ndarray]:
         """Coefficients of |Hs|^2, (cells,), and of the penalty, (sides' points,), for ``HyperTangent``.
@@ -167,9 +159,22 @@ class HyperDerivative:
         return stretched(mean(c), mean(law.moduli(in_cells)[1])), penalty
 
 
-def _transposed(matrices: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Transposes of stacked matrices (cells, i, j) times values (cells, i): (cells, j, 1)."""
-    return np.matmul(matrices.transpose(0, 2, 1), values[..., None])
+class _Interpolated:
+    """Values at points of functions with ``blocks``, (cells, points, functions), and the transpose.
+
+    One constant function needs no products.
+    """
+
+    def __init__(self, blocks: np.ndarray) -> None:
+        self._blocks = None if blocks.shape[2] == 1 and (blocks == 1.0).all() else precision.single(blocks)
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        """Coefficients (cells, n, functions) to values (cells, n, points), or (cells, n, 1) if constant."""
+        return x if self._blocks is None else np.matmul(x, self._blocks.swapaxes(1, 2))
+
+    def tested(self, values: np.ndarray) -> np.ndarray:
+        """Values (cells, n, points) to sums (cells, n, functions)."""
+        return values.sum(axis=2, keepdims=True) if self._blocks is None else np.matmul(values, self._blocks)
 
 
 class HyperTangent:
