@@ -258,7 +258,7 @@ class SumInverse:
         except PETScError as error:
             if not self.communicator.is_distributed:
                 raise self._refused(error) from error
-            self.communicator.note(f"{self.method}: {error}")  # NaN in products tells the first rank
+            self.communicator.note(f"{self.method}: {error}")  # the first rank sees NaN in its products
             return np.full_like(rows, np.nan)
 
     def solve(self, rows: np.ndarray) -> np.ndarray:

@@ -409,7 +409,7 @@ def check_isotropy(material: Material, *, dim: int = 3, spread: float = 0.4, see
         if not finite.any():
             continue
         energies = energy[np.isfinite(energy)]
-        # relative to the energy's spread, because an energy's constant is arbitrary, and above rounding
+        # above rounding; relative to the spread, because an energy is known up to a constant
         bound = 1e-8 * np.ptp(energies) + 1e-13 * np.abs(energies).max()
         change = np.where(finite & (change > bound), change, 0.0)
         i = int(np.argmax(change))

@@ -95,7 +95,7 @@ def test_ledger_closes_and_mass_stays_with_every_wall(name):
     ledger = run.run(0.06)
     assert_balanced(ledger, 1e-12, 1e-13)
     assert ledger.column("v_max")[-1] > 1e-3
-    if name == "slip, disc":  # no spurious resistance: what is lost is in the volume
+    if name == "slip, disc":  # the wall does not resist: only matter dissipates
         assert ledger.column("kinetic")[-1] > 0.99 * ledger.column("kinetic")[0]
     of_walls = ("power_wall", "power_traction", "power_kinetic", "power_stored", "dissipation_friction")
     for entry in ledger.entries:

@@ -27,7 +27,7 @@ def at(run, f):
 def test_J_follows_from_the_density():
     run = started(FLUID, density=2.5 + x)
     J, rho = (run.sampler.values(run.fields[name]) for name in ("J", "density"))
-    assert J * rho == pytest.approx(2.5, rel=0.02)  # each is a projection
+    assert J * rho == pytest.approx(2.5, rel=0.02)  # J and rho are projections
     assert at(run, run.fields["pressure"]) == pytest.approx(3 * 2.8**1.7, rel=0.02)
     run = started(SOLID, density=2.0)
     assert at(run, run.fields["A"]) == pytest.approx(0.8, rel=1e-13)

@@ -199,7 +199,7 @@ def test_bodies_are_measured_each_by_itself():
     run = of_bodies(nv.Body(name="disc", where=place, **STIFF), nv.Body(name="rest", **SOFT))
     cells = scales(run).bodies
     assert set(cells) <= {"disc", "rest"} and cells["rest"] > 2
-    assert cells.get("disc", 0.0) < 1.5  # 0.3 m of cells of 0.4 m
+    assert cells.get("disc", 0.0) < 1.5  # a diameter of 0.3 m, in cells of 0.4 m
     named = replace(scales(run), bodies={"disc": 1.3}).advice
     assert any("1.3 cells across the body 'disc'" in line for line in named)
 

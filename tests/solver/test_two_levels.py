@@ -127,7 +127,7 @@ def test_a_band_solves_in_any_numbering_and_refuses_an_indefinite_matrix():
 
 def test_multigrid_without_petsc_is_refused_by_name(monkeypatch):
     monkeypatch.setattr(petsc, "_loaded", [])
-    monkeypatch.setitem(sys.modules, "petsc4py", None)  # as where it is not installed
+    monkeypatch.setitem(sys.modules, "petsc4py", None)  # as if petsc4py were not installed
     with pytest.raises(ParameterError, match="coarse = 'gamg': expected 'direct', since petsc4py is missing"):
         nv.NewtonOptions(coarse="gamg")
     with pytest.raises(ParameterError, match="coarse = 'amg': expected one of direct, gamg, hypre"):

@@ -140,6 +140,6 @@ def _any_ratio() -> Measured:
         found.append(np.log2(both[0].remainder / both[1].remainder))
     yield "least order of the largest remainder, midpoint", min(found)
     yield Table("k = 1, m = 0", HEAD, rows)
-    further = tuple((stiffer, 1.0) for stiffer in (1.0, 0.1))  # 0.01 would be slowest
+    further = tuple((stiffer, 1.0) for stiffer in (1.0, 0.1))  # the ratio 0.01 would take longest
     second = [row for _, row in table((2, 1), ("backward-euler",), further)]
     yield Table("k = 2, m = 1 beside it", HEAD, second)

@@ -239,7 +239,7 @@ def _oscillating() -> Measured:
     *_, motion, elastic = computed(TAYLOR_GREEN, 192, times).T
     curves, rows = [Curve("immersed triangles, 192 x 192", times, elastic, "k--")], []
     errors = RateTable("largest errors", "cells, m")
-    for maxh in (0.1, 0.05, 0.025):  # demos/soft_disc/vortex.toml: a quarter
+    for maxh in (0.1, 0.05, 0.025):  # a quarter of the vortex, as in demos/soft_disc
         table = nv.Bodies()
         run = nv.Simulation(
             box((0.5, 0.5), maxh),

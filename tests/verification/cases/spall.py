@@ -76,7 +76,8 @@ def _moved(breaks: bool) -> tuple[nv.Simulation, np.ndarray, np.ndarray]:
     run = _plate(breaks)
     run.observers.extend([surface := _Surface(), table := nv.Bodies()])
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", nv.DamageWarning)  # the shortest step may exceed the growth
+        # the damage may grow by more than allowed in the shortest step
+        warnings.simplefilter("ignore", nv.DamageWarning)
         run.run(END)
     return run, np.array(surface.rows), table.column("plate_mass")
 
