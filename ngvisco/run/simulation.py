@@ -5,6 +5,7 @@ Output, checkpoints, plots and progress are observers of the loop (``ngvisco.run
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -127,7 +128,7 @@ class Simulation(RunState):
             *(("discretisation", discretisation, Discretisation), ("newton", newton, NewtonOptions)),
         ):
             require_type(f"Simulation.{name}", value, kind)
-        time = time_steps(time, steps)
+        time = time_steps(time, steps, [*inspect.signature(Simulation).parameters][:-1])  # without **steps
         check_arguments(observers, walls, passive, sources, terms)
         if model.heat is not None and model.heat.numerical_heating and time.made.A != ((1.0,),):
             expected = (

@@ -22,7 +22,7 @@ holds for any sequence of lengths.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Annotated, Any, Literal, Protocol
@@ -150,15 +150,15 @@ class TimeSteps:
             raise ParameterError(field, error.value, error.expected) from error
 
 
-def time_steps(time: TimeSteps | None, keywords: Mapping[str, Any]) -> TimeSteps:
+def time_steps(time: TimeSteps | None, keywords: Mapping[str, Any], further: Iterable[str]) -> TimeSteps:
     """The ``TimeSteps`` in the arguments of ``Simulation``: ``time``, or its parameters in ``keywords``.
 
-    Raises ParameterError if both or neither are given; TypeError for an unknown argument.
+    Raises ParameterError if both or neither are given; TypeError, with the nearest name among these
+    parameters and the ``further`` arguments, for an unknown argument.
     """
     names = [field.name for field in fields(TimeSteps)]
-    for name in keywords:
-        if name not in names:
-            raise TypeError(f"Simulation(): {UnknownNameError('keyword argument', name, names)}")
+    for name in (name for name in keywords if name not in names):
+        raise TypeError(f"Simulation(): {UnknownNameError('keyword argument', name, [*names, *further])}")
     if time is None:
         return TimeSteps(**{"dt": None, **keywords})
     require_type("Simulation.time", time, TimeSteps)

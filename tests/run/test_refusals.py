@@ -335,6 +335,12 @@ def test_tensor_of_a_body_may_be_given_where_the_body_is():
     assert np.allclose(given.rothe_step.state.vec.FV(), default.rothe_step.state.vec.FV(), atol=1e-12)
 
 
+@pytest.mark.parametrize(("name", "nearest"), [("dtt", "dt"), ("observer", "observers"), ("wals", "walls")])
+def test_wrong_keyword_of_a_simulation_suggests_the_nearest(name, nearest):
+    with pytest.raises(TypeError, match=f"unknown keyword argument '{name}'; did you mean '{nearest}'"):
+        simulation(**{name: 1})
+
+
 TYPED = """\
 simulation(adaptive=_) | 1, "a", {}, AdaptiveSteps
 simulation(walls=_) | 1, "top", NoSlip(), {"top": 1}, {1: NoSlip()}, {"top": None}, [NoSlip()], [("top",)]
