@@ -4,14 +4,14 @@ from typing import Any
 
 import numpy as np
 from netgen.occ import Circle, OCCGeometry, WorkPlane
-from ngsolve import BND, CF, BoundaryFromVolumeCF, Integrate, Mesh, cos, specialcf, x, y, z
+from ngsolve import BND, CF, BoundaryFromVolumeCF, Integrate, Mesh, cos, exp, specialcf, x, y, z
 from scipy.signal import residue
 
 import ngvisco as nv
 from ngvisco.forms.boundary.walls import Conditions
 from ngvisco.geometries import box, structured_box
 from tests.verification.case import Cases, Measured, Table
-from tests.verification.setups import followed, stokes
+from tests.verification.setups import fluid, followed, stokes
 
 CASES = Cases("Bodies and their interfaces")
 
@@ -289,3 +289,56 @@ def _crests(run: nv.Simulation) -> list[float]:
         2 / PLATE[0] * Integrate(run.fields[f"displacement_{name}"][1] * wave, run.mesh.Boundaries(name))
         for name in ("bottom", "top")
     ]
+
+
+# --- a squeezed film --------------------------------------------------------------------------------------
+"""A viscous fluid between discs of distance h, the upper of which comes down with the speed V.  The flow
+v_r = 3 V r z (h - z)/h^3, v_z = -V (3 z^2/h^2 - 2 z^3/h^3) with the pressure p = -3 eta V r^2/h^3
+- 6 eta V z (h - z)/h^3 solves Stokes' equations for all h/R.  The mesh keeps its height, and fluid comes in
+through its upper side.
+"""
+
+FILM, DESCENT, VISCOSITY = 0.5, 0.1, 1.0
+
+
+def _film(of_wall: float = 1.0) -> tuple[float, float]:
+    """Force on the upper disc, and v_r in the film, over the exact values."""
+    h, V, eta = FILM, DESCENT, VISCOSITY
+    grown = 1 - exp(-4 * nv.time)
+    p = -3 * eta * V * (1 + 2 * y * (h - y)) / h**3
+    traction = (-p + 6 * eta * V * y * (h - y) / h**3, 3 * eta * V * (h - 2 * y) / h**3)
+    forces = nv.WallForces(["top"])
+    run = nv.Simulation(
+        structured_box((1, h), (8, 4)),
+        nv.Model(material=fluid(1e3), viscosity=stokes(eta)),
+        dt=0.25,
+        symmetry="axisymmetric",
+        initial=nv.Initial(density=1e-3),
+        walls={
+            "top": nv.Inflow(velocity=(0.0, -V * grown)),
+            "bottom": nv.NoSlip(),
+            "right": nv.Open(traction=tuple(of_wall * t * grown for t in traction)),
+        },
+        discretisation=nv.Discretisation(k=3, m=2),
+        observers=[forces],
+    )
+    run.run(4.0)
+    v_r = run.fields["velocity"](run.mesh(0.7, h / 2))[0]
+    return forces.column("top.force_2")[-1] / (-0.75 * eta * V / h**3), v_r / (0.525 * V / h)
+
+
+@CASES(f"""squeezed-film (reduced)
+    A viscous film between discs, one of which comes down, bears the force, and flows out, by the closed form.
+    label: benchmark: the flow between approaching discs (Stefan 1875), exact for Stokes' equations
+    setting: Body of revolution, 1 m x {FILM:g} m, 8 x 4 rectangles, k = 3, m = 2; the disc comes down with
+      {DESCENT:g} m/s; viscosity {VISCOSITY:g} Pa s, K = 1000 Pa; the stress of the closed form at r = 1 m.
+    - force over the exact one in [0.99, 1.01]: pressures of 2.4 Pa change volumes by 0.24 %
+    - radial velocity in the film over the exact one in [0.99, 1.01]: as above
+    - error of the force with 0.9 of the stress at r = 1 m >= 0.05: a control
+    - closure
+    """)
+def _squeezed() -> Measured:
+    force, velocity = _film()
+    yield "force over the exact one", force
+    yield "radial velocity in the film over the exact one", velocity
+    yield "error of the force with 0.9 of the stress at r = 1 m", abs(_film(0.9)[0] - 1)
