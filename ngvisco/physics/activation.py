@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from ngvisco.errors import Quantity
 from ngvisco.physics.flow_rules.rule import FlowRule, Hardening
-from ngvisco.physics.parameters import Modulus, require_fields, value_at
+from ngvisco.physics.parameters import Checked, Modulus, value_at
 from ngvisco.physics.rheology import ValueOfModulus, Viscosity
 from ngvisco.physics.tensors import Tensor, exp, if_positive
 from ngvisco.physics.variables import PRESSURE, TEMPERATURE, Values
@@ -17,16 +17,13 @@ GAS_CONSTANT = 8.31446261815324
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Activation:
+class _Activation(Checked):
     """The factor a = exp(E/(R theta_R) - (E + p V)/(R theta)), the rate over the rate at theta_R, p = 0."""
 
     E: Annotated[float, Quantity("J/mol", example=2e5)]
     theta_R: Annotated[float, Quantity("K", "> 0", 300.0)]
     V: Annotated[float, Quantity("m^3/mol")] = 0.0
     temperature: Annotated[Modulus | None, Quantity("K", "> 0", 300.0, "arithmetic")] = None
-
-    def __post_init__(self) -> None:
-        require_fields(self)
 
     @property
     def _reads(self) -> set[str]:
@@ -120,9 +117,6 @@ class Activated(_Activation, _Faster):
         A number; a function of the initial place, which is carried; or an expression of parameters. None is
         the temperature of a material with heat.
     """
-
-    def __post_init__(self) -> None:
-        _Faster.__post_init__(self)
 
 
 @dataclass(frozen=True, kw_only=True)

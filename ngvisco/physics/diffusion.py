@@ -7,7 +7,7 @@ from typing import Annotated
 from ngvisco.errors import ParameterError, Quantity
 from ngvisco.physics.heat import Function
 from ngvisco.physics.material import Material
-from ngvisco.physics.parameters import require_fields
+from ngvisco.physics.parameters import Checked, require_fields
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +42,7 @@ class WallExchange:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Diffusion:
+class Diffusion(Checked):
     """Diffusion of c until mu = d phi/d c is uniform: dc/dt + div(c v) = div(M grad mu).
 
     It dissipates M |grad mu|^2.  A material whose energy couples c and J swells with c.  Raises
@@ -63,9 +63,6 @@ class Diffusion:
     walls: Annotated[Mapping[str, WallExchange], Quantity(example={"left": {"flux": 0.1}})] = field(
         default_factory=dict
     )
-
-    def __post_init__(self) -> None:
-        require_fields(self)
 
     def require(self, material: Material) -> None:
         """Raise ParameterError for a material that does not carry the variable as a conserved scalar."""

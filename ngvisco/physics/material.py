@@ -26,7 +26,7 @@ import numpy as np
 from ngsolve import CF, Id
 
 from ngvisco.errors import ParameterError
-from ngvisco.physics.parameters import Modulus, require_fields, substituted
+from ngvisco.physics.parameters import Checked, Modulus, substituted
 from ngvisco.physics.response import Respond
 from ngvisco.physics.signals import sampled
 from ngvisco.physics.tensors import (
@@ -141,7 +141,7 @@ class _Tensors(Mapping[str, Tensor]):
 ElasticState: TypeAlias = Literal["F", "B"]
 
 
-class Material(ABC):
+class Material(Checked, ABC):
     """A constitutive law: its ``variables`` and its ``energy``.
 
     A material that is a dataclass raises ParameterError for a parameter outside the range of its annotation.
@@ -149,9 +149,6 @@ class Material(ABC):
 
     energy_parameter = "energy"
     """Name, for messages, of the parameter that gives the energy."""
-
-    def __post_init__(self) -> None:
-        require_fields(self)
 
     @property
     @abstractmethod

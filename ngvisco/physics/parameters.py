@@ -288,6 +288,13 @@ def require_fields(owner: Any) -> None:
     errors.require_fields(owner)
 
 
+class Checked:
+    """Base of dataclasses that raise ParameterError for a parameter of another type or out of its range."""
+
+    def __post_init__(self) -> None:
+        require_fields(self)
+
+
 def _as_modulus(full: str, value: object, declaration: Declared) -> Modulus:
     """A modulus from a number in its range, an expression of parameters, or a function of the initial place,
     which becomes a parameter with the modulus' name."""

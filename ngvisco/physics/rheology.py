@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ngvisco.errors import ParameterError, Quantity, require_effect
-from ngvisco.physics.parameters import Modulus, require_fields, value_at
+from ngvisco.physics.parameters import Checked, Modulus, require_fields, value_at
 from ngvisco.physics.tensors import (
     Scalar,
     Tensor,
@@ -34,7 +34,7 @@ ValueOfModulus: TypeAlias = float | Tensor
 """The value of a modulus: a number, or the values of an expression of parameters at points."""
 
 
-class Viscosity(ABC):
+class Viscosity(Checked, ABC):
     """A viscous stress D(eps), the derivative of a convex potential of the strain rate, with D(0) = 0.
 
     ``Model`` samples a viscosity and refuses it if its power is negative or its stress is not monotone.
@@ -45,9 +45,6 @@ class Viscosity(ABC):
     """Names among ``PRESSURE`` and ``TEMPERATURE`` that the law reads from the values ``z``."""
     is_linear: bool = False
     """Whether D is linear in eps."""
-
-    def __post_init__(self) -> None:
-        require_fields(self)
 
     @abstractmethod
     def stress(self, eps: Tensor, z: Values) -> Tensor:

@@ -13,11 +13,11 @@ from ngsolve import CoefficientFunction
 from ngvisco.errors import Quantity
 from ngvisco.physics.heat import Function, WallHeat
 from ngvisco.physics.loads import VectorLike
-from ngvisco.physics.parameters import require_fields
+from ngvisco.physics.parameters import Checked
 
 
 @dataclass(frozen=True)
-class Wall:
+class Wall(Checked):
     """Base of all wall conditions.
 
     Parameters
@@ -33,9 +33,6 @@ class Wall:
     is_held: ClassVar[bool] = False
     """Whether v is prescribed in full on the wall."""
     heat: WallHeat | None = field(default=None, kw_only=True)
-
-    def __post_init__(self) -> None:
-        require_fields(self)
 
 
 @dataclass(frozen=True)

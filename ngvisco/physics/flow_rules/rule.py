@@ -32,7 +32,7 @@ from ngsolve import CF
 
 from ngvisco.errors import ParameterError, Quantity, require_effect
 from ngvisco.physics.arrays import Array, derivatives
-from ngvisco.physics.parameters import Modulus, require_fields, value_at
+from ngvisco.physics.parameters import Checked, Modulus, value_at
 from ngvisco.physics.tensors import Tensor, exp, is_even, power_of_square, square, tr
 from ngvisco.physics.variables import Values, Variable
 
@@ -98,7 +98,7 @@ class Hardening:
         return amount * phi
 
 
-class FlowRule(ABC):
+class FlowRule(Checked, ABC):
     """A law of a material's creep rate Pi; derived classes are frozen dataclasses that give ``rate``.
 
     A rule with a gradient term declares ``nu`` and gives ``psi`` as well.  ``Model`` samples a rule and
@@ -123,9 +123,6 @@ class FlowRule(ABC):
     degree: float = math.inf
     """Power of |M| with which the rate grows, 1 for a linear rule; infinite if the rate does not grow by a
     power."""
-
-    def __post_init__(self) -> None:
-        require_fields(self)
 
     @abstractmethod
     def rate(self, M: Tensor, zeta: Tensor | None, z: Values) -> Tensor:

@@ -18,17 +18,17 @@ from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 from operator import add, attrgetter
 
-from ngvisco.errors import ParameterError, require_fields
+from ngvisco.errors import ParameterError
 from ngvisco.physics.flow_rules.rule import FlowRule
 from ngvisco.physics.material import ElasticState, Material, check_material, part_of, rest_stress_and_modulus
-from ngvisco.physics.parameters import Parameter, distinct
+from ngvisco.physics.parameters import Checked, Parameter, distinct
 from ngvisco.physics.tensors import Tensor
 from ngvisco.physics.variables import SmallStrain, Values, Variable
 from ngvisco.words import Words, call
 
 
 @dataclass(frozen=True, kw_only=True)
-class Branch:
+class Branch(Checked):
     """A branch of a ``Network``: a material and its flow rule.
 
     Raises ParameterError for a part of the wrong type.
@@ -45,9 +45,6 @@ class Branch:
 
     material: Material
     creep: FlowRule | None = None
-
-    def __post_init__(self) -> None:
-        require_fields(self)
 
     @property
     def flows(self) -> bool:
