@@ -7,11 +7,11 @@ from typing import Annotated
 from ngvisco.errors import ParameterError, Quantity
 from ngvisco.physics.heat import Function
 from ngvisco.physics.material import Material
-from ngvisco.physics.parameters import Checked, require_fields
+from ngvisco.physics.parameters import Checked
 
 
 @dataclass(frozen=True, kw_only=True)
-class WallExchange:
+class WallExchange(Checked):
     """The flux into the body through a wall: flux + coefficient (potential - mu), mu the body's potential.
 
     A large coefficient holds the wall at the potential.  Raises ParameterError if a parameter is out of its
@@ -32,7 +32,7 @@ class WallExchange:
     flux: Annotated[Function | None, Quantity("m/s", example=0.1)] = None
 
     def __post_init__(self) -> None:
-        require_fields(self)
+        super().__post_init__()
         if (self.potential is None) != (self.coefficient is None):
             missing = "potential" if self.potential is None else "coefficient"
             expected = "a value, since potential and coefficient have to be given together"

@@ -15,7 +15,7 @@ import numpy as np
 from ngsolve import CoefficientFunction
 
 from ngvisco.errors import ParameterError, Quantity, as_number
-from ngvisco.physics.parameters import require_fields
+from ngvisco.physics.parameters import Checked
 from ngvisco.physics.tensors import linear_map
 from ngvisco.physics.variables import Values
 
@@ -26,7 +26,7 @@ Conductivity: TypeAlias = float | Callable[[Any], Any] | Sequence[Sequence[float
 
 
 @dataclass(frozen=True, kw_only=True)
-class WallHeat:
+class WallHeat(Checked):
     """The heat flux into the body through a wall: flux + coefficient (temperature - theta) (Robin, Newton's
     cooling), and the share of the wall's friction heat that the body gets.
 
@@ -53,7 +53,7 @@ class WallHeat:
     friction_share: Annotated[float, Quantity("1", "in [0, 1]", 0.5)] = 1.0
 
     def __post_init__(self) -> None:
-        require_fields(self)
+        super().__post_init__()
         if (self.temperature is None) != (self.coefficient is None):
             missing = "temperature" if self.temperature is None else "coefficient"
             expected = "a value, since temperature and coefficient have to be given together"
@@ -64,7 +64,7 @@ class WallHeat:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Heat:
+class Heat(Checked):
     """Conduction of heat in a body, and sources besides its dissipation.
 
     Raises ParameterError if a parameter is out of its range.
@@ -87,7 +87,7 @@ class Heat:
     numerical_heating: bool = False
 
     def __post_init__(self) -> None:
-        require_fields(self)
+        super().__post_init__()
         conductivity, owner = self.conductivity, "Heat.conductivity"
         number = as_number(conductivity)
         if number is not None:

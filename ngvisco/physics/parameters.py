@@ -34,8 +34,7 @@ from typing import Any, ClassVar, Literal, TypeAlias, TypeVar
 import numpy as np
 from ngsolve import CF, CoefficientFunction
 
-from ngvisco import errors
-from ngvisco.errors import Declared, ParameterError, as_number, declared
+from ngvisco.errors import Declared, ParameterError, as_number, declared, require_fields
 from ngvisco.physics.signals import reads_time
 from ngvisco.physics.tensors import Tensor, exp, if_positive, log
 from ngvisco.physics.variables import Values, Variable
@@ -268,30 +267,25 @@ def typical_value(modulus: Modulus) -> float:
     return modulus.typical if isinstance(modulus, ParameterExpression) else float(modulus)
 
 
-def require_fields(owner: Any) -> None:
-    """Raise ParameterError unless every parameter of a dataclass has the type and range of its annotation.
+class Checked:
+    """Base of dataclasses that raise ParameterError for a parameter of another type or out of its range.
 
     Moduli may also be functions of the initial place and expressions, other parameters functions of the
     actual place.
     """
-    for name, declaration in declared(type(owner)).items():  # type: ignore[arg-type]
-        value, full = getattr(owner, name), f"{type(owner).__name__}.{name}"
-        if not declaration.is_number or (value is None and type(None) in declaration.kinds):
-            continue
-        if ParameterExpression in declaration.kinds:
-            object.__setattr__(owner, name, _as_modulus(full, value, declaration))
-        elif CoefficientFunction in declaration.kinds and not _is_scalar_function(value):
-            if (number := declaration.number(value)) is None:
-                expected = f"{declaration.expected}, or a scalar function of the place and the time"
-                raise ParameterError(full, value, expected)
-            object.__setattr__(owner, name, number)
-    errors.require_fields(owner)
-
-
-class Checked:
-    """Base of dataclasses that raise ParameterError for a parameter of another type or out of its range."""
 
     def __post_init__(self) -> None:
+        for name, declaration in declared(type(self)).items():  # type: ignore[arg-type]
+            value, full = getattr(self, name), f"{type(self).__name__}.{name}"
+            if not declaration.is_number or (value is None and type(None) in declaration.kinds):
+                continue
+            if ParameterExpression in declaration.kinds:
+                object.__setattr__(self, name, _as_modulus(full, value, declaration))
+            elif CoefficientFunction in declaration.kinds and not _is_scalar_function(value):
+                if (number := declaration.number(value)) is None:
+                    expected = f"{declaration.expected}, or a scalar function of the place and the time"
+                    raise ParameterError(full, value, expected)
+                object.__setattr__(self, name, number)
         require_fields(self)
 
 

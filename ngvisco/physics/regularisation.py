@@ -20,13 +20,13 @@ from ngsolve import CF
 from ngvisco.errors import ParameterError, Quantity, require_effect
 from ngvisco.physics.energy_checks import StateSampling
 from ngvisco.physics.material import Material
-from ngvisco.physics.parameters import require_fields
+from ngvisco.physics.parameters import Checked
 from ngvisco.physics.pointwise import respond, rest_state
 from ngvisco.physics.tensors import Scalar, Tensor, if_positive, is_even, power_of_square
 
 
 @dataclass(frozen=True, kw_only=True)
-class Regularisation:
+class Regularisation(Checked):
     """The paper's regularising terms: diffusions by delta, friction by epsilon, and the cut-off.
 
     Raises ParameterError if a parameter is out of its range.
@@ -71,7 +71,7 @@ class Regularisation:
     floor: Annotated[float, Quantity("1", "> 0")] = 1e-10
 
     def __post_init__(self) -> None:
-        require_fields(self)
+        super().__post_init__()
         diffuses, rubs = self.delta_density > 0, self.epsilon > 0
         require_effect(self, diffuses, "with delta_density = 0", "r", "gradient_floor")
         require_effect(self, rubs, "with epsilon = 0", "p")

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ngvisco.errors import ParameterError, Quantity, require_effect
-from ngvisco.physics.parameters import Checked, Modulus, require_fields, value_at
+from ngvisco.physics.parameters import Checked, Modulus, value_at
 from ngvisco.physics.tensors import (
     Scalar,
     Tensor,
@@ -345,7 +345,7 @@ def _as_tuples(array: np.ndarray) -> Any:
 
 
 @dataclass(frozen=True, kw_only=True)
-class HyperViscosity:
+class HyperViscosity(Checked):
     """Hyperviscosity, the stress (mu_1 + mu |hess v|^{p-2}) hess v (paper: Euler-small-viscoelastodyn+1).
 
     Raises ParameterError if a parameter is out of its range.
@@ -371,7 +371,7 @@ class HyperViscosity:
     floor: Annotated[float, Quantity("1/(m s)", "> 0")] = 1e-10
 
     def __post_init__(self) -> None:
-        require_fields(self)
+        super().__post_init__()
         require_effect(self, not is_even(self.p), "with p an even integer", "floor")
 
     @property
