@@ -66,15 +66,10 @@ def run(
     if not force:
         ranks.on_first(place.refuse_results)
     # every fault of the case is found here, before anything is written or removed
-    notes, image = [f"run: {case.sections.title or case.source}"], b""
+    notes = [f"run: {case.sections.title or case.source}"]
     with _noting_warnings(notes.append):
-
-        def whole() -> Mesh:
-            nonlocal image
-            image = mesh_image(case.mesh())
-            return mesh_of(image)
-
-        simulation = case.simulation(_mesh_of_first(case, ranks, whole))
+        image = ranks.on_first(lambda: mesh_image(case.mesh()))
+        simulation = case.simulation(_mesh_of_first(case, ranks, lambda: mesh_of(image)))
     origin: dict[str, Any] | None = None
     if source is not None:
         with _naming_source():

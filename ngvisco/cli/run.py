@@ -142,14 +142,7 @@ def _end_with_stdin(options: argparse.Namespace) -> None:
 def _terminal(options: argparse.Namespace, until: float) -> list[Observer]:
     if options.quiet:
         return []
-    return [ProgressBar(until) if sys.stdout.isatty() else _Lines(until)]
-
-
-class _Lines(Progress):
-    """Prints one line a step, also to a standard output that nobody reads."""
-
-    def _print(self, line: str) -> None:
-        streams.write(line + "\n")
+    return [ProgressBar(until) if sys.stdout.isatty() else Progress(until)]
 
 
 def _close(directory: Path, result: Simulation, stop: StopOnSignal) -> int:

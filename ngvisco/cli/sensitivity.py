@@ -22,12 +22,12 @@ from ngvisco.errors import (
     ParameterError,
     StopRequested,
     UnknownNameError,
-    as_number,
     listed,
     nearest,
 )
 from ngvisco.run.files import csv_text, write_atomically
 from ngvisco.run.simulation import Simulation
+from ngvisco.sensitivity.data import number_in
 from ngvisco.sensitivity.fit import Fit
 from ngvisco.sensitivity.fit import fit as fitted
 from ngvisco.sensitivity.gradient import gradient as differentiated
@@ -151,12 +151,12 @@ def _directory(options: argparse.Namespace, name: str, kind: str) -> Path:
 def _sigma(text: str | None) -> float | dict[str, float] | None:
     """Convert the argument of ``--sigma``, as in ``--sigma 0.1`` or ``--sigma
     kinetic=0.1,tip.velocity_1=0.02``."""
-    if text is None or (number := _number(text)) is not None:
+    if text is None or (number := number_in(text)) is not None:
         return None if text is None else number
     deviations = {}
     for part in text.split(","):
         name, equals, value = part.rpartition("=")
-        if not equals or (number := _number(value)) is None:
+        if not equals or (number := number_in(value)) is None:
             raise ParameterError("--sigma", text, "a number, or items COLUMN=NUMBER separated by commas")
         deviations[name.strip()] = number
     return deviations
@@ -191,13 +191,6 @@ def _bounds(text: str, case: Case) -> tuple[str, tuple[float, float]]:
         expected = "KEY=LOW,HIGH: two numbers in the case's units, or with units as in KEY=10 kPa,1 MPa"
         raise ParameterError("--bounds", text, f"{expected} ({error})") from None
     return name.strip(), (low, high)
-
-
-def _number(text: str) -> float | None:
-    try:
-        return as_number(float(text))
-    except ValueError:
-        return None
 
 
 def _write(path: Path, head: Sequence[str], names: Sequence[str], numbers: np.ndarray) -> None:

@@ -67,7 +67,7 @@ def _head(path: Path, cells: Sequence[str]) -> tuple[list[str], dict[str, str]]:
     names, units = [], {}
     for cell in cells:
         head = _HEAD.fullmatch(cell)
-        if head is None or as_number(_float(cell)) is not None:
+        if head is None or number_in(cell) is not None:
             message = f"{path}: {cell!r:.60} is not the name of a column, with or without a unit in brackets"
             raise DataError(message)
         names.append(head["name"])
@@ -76,9 +76,10 @@ def _head(path: Path, cells: Sequence[str]) -> tuple[list[str], dict[str, str]]:
     return names, units
 
 
-def _float(cell: str) -> float | None:
+def number_in(cell: str) -> float | None:
+    """The finite number in a text; None for other texts."""
     try:
-        return float(cell)
+        return as_number(float(cell))
     except ValueError:
         return None
 
@@ -89,7 +90,7 @@ def _numbers(path: Path, line: int, row: Sequence[str], names: Sequence[str]) ->
         raise DataError(f"{path}, row {line}: {counts}")
     numbers = []
     for name, cell in zip(names, row, strict=True):
-        number = as_number(_float(cell))
+        number = number_in(cell)
         if number is None and cell.strip():
             raise DataError(f"{path}, row {line}: {name} = {cell!r:.40}; expected a finite number")
         numbers.append(np.nan if number is None else number)
