@@ -100,6 +100,9 @@ class FacetMean(PointTerm):
     kernel, group = "facet means", ""
     is_linear = True
 
+    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
+        return (Unknown(self.name, "facets", 0),)
+
     @property
     def facet_mean(self) -> str:  # type: ignore[override]
         """The name of the mean."""
@@ -124,6 +127,3 @@ class OfFacet(FacetMean):
     """Equation of the mean of a nonlinear function over a facet, one number, in the function's unit."""
 
     is_linear = False
-
-    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
-        return (Unknown(self.name, "facets", 0),)

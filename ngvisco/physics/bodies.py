@@ -20,8 +20,8 @@ from ngvisco.physics.heat import Heat
 from ngvisco.physics.material import Material, part_of
 from ngvisco.physics.materials.network import Network
 from ngvisco.physics.rheology import Viscosity
-from ngvisco.physics.tensors import Tensor, if_positive, sqrt, tr
-from ngvisco.physics.variables import CreepFrame, Values, Variable
+from ngvisco.physics.tensors import Tensor, if_positive, sqrt
+from ngvisco.physics.variables import CreepFrame, PerVolume, Values, Variable
 
 NO_INTERFACE = 1e-6
 """A cell has no interface if a fraction, or a logarithm that bodies average, changes by less than this number
@@ -58,23 +58,18 @@ StartPlace: TypeAlias = Tensor | Region
 
 
 @dataclass(frozen=True)
-class Amount(Variable):
+class Amount(PerVolume):
     """n_i, the volume that body i has in its reference state per actual volume: dt n_i + div(n_i v) = 0.
 
     The amount is conserved, and with it the body's mass int rho_i n_i; no strain determines it.
     """
 
-    name: str
-    kind: str = "scalar"
     density: float = 1.0
     """rho_i of the reference state, kg/m^3."""
     share: float = field(default=0.5, compare=False)
     """The volume fraction of the body in sampled states, in which all bodies have equal fractions."""
 
     is_conserved = True
-
-    def rate(self, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
-        return -tr(L) * z[self.name]
 
     def from_distortion(self, F: Tensor) -> Tensor:
         return self.share / Det(F)

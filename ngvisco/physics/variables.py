@@ -308,14 +308,24 @@ class Jacobian(Variable):
 
 
 @dataclass(frozen=True)
-class ReciprocalJacobian(Variable):
-    """A = 1/J (paper: DT-det-inverse)."""
+class PerVolume(Variable):
+    """An amount y per actual volume that no distortion determines: dy/dt = -(tr L) y; zero at the start."""
 
-    name: str = "A"
+    name: str
     kind: str = "scalar"
 
     def rate(self, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
         return -tr(L) * z[self.name]
+
+    def from_distortion(self, F: Tensor) -> Tensor:
+        return CF(0.0)
+
+
+@dataclass(frozen=True)
+class ReciprocalJacobian(PerVolume):
+    """A = 1/J (paper: DT-det-inverse), the reference volume per actual volume."""
+
+    name: str = "A"
 
     def from_distortion(self, F: Tensor) -> Tensor:
         return 1 / Det(F)
@@ -328,19 +338,12 @@ class ReciprocalJacobian(Variable):
 
 
 @dataclass(frozen=True)
-class Concentration(Variable):
+class Concentration(PerVolume):
     """An amount per actual volume, such as a solute's: dc/dt = -(tr L) c, conserved; zero at the start."""
 
     name: str = "c"
-    kind: str = "scalar"
 
     is_conserved = True
-
-    def rate(self, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
-        return -tr(L) * z[self.name]
-
-    def from_distortion(self, F: Tensor) -> Tensor:
-        return CF(0.0)
 
 
 @dataclass(frozen=True)

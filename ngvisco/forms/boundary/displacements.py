@@ -48,9 +48,6 @@ class Displacement(OnWall):
             Unknown(name, "walls", k, dim, space=traces, evolves=True, scale=self._size, on=self.indicator),
         )
 
-    def on_body(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
-        return []
-
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         q, old = w.parts[self.displacement], u.context.old.parts[self.displacement]
         change = u.context.rate(u.parts[self.displacement] - old)

@@ -33,7 +33,7 @@ class OnWall(PointTerm):
         self.indicator = facet_indicator(walls.mesh, [name])
 
     def on_body(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
-        return self.facets(u, w)
+        return [] if self.acts_by == "nothing" else self.facets(u, w)
 
 
 def along_and_across(

@@ -108,9 +108,6 @@ class Piston(OnWall):
         """Integrand mu V at the present time."""
         return self.indicator * self.velocity * mu
 
-    def on_body(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
-        return []
-
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         return [-self.indicator * u.context.average(self.velocity, self.region) * w.wall_stress]
 

@@ -89,9 +89,6 @@ class MeanFlux(FacetMean):
 
     name = "mean_flux"
 
-    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
-        return (Unknown(self.name, "facets", 0),)
-
     def value(self, u: Fields) -> CoefficientFunction:
         return side(u) * (u.v * u.context.normal)
 

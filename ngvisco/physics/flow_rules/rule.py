@@ -28,13 +28,12 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from ngsolve import CF
 
 from ngvisco.errors import ParameterError, Quantity, require_effect
 from ngvisco.physics.arrays import Array, derivatives
 from ngvisco.physics.parameters import Checked, Modulus, value_at
-from ngvisco.physics.tensors import Tensor, exp, is_even, power_of_square, square, tr
-from ngvisco.physics.variables import Values, Variable
+from ngvisco.physics.tensors import Tensor, exp, is_even, power_of_square, square
+from ngvisco.physics.variables import PerVolume, Values
 
 TINY_STRESS = 1e-100
 """Powers of |M| are smoothed below this |M|, Pa, because they have no derivative at zero."""
@@ -44,14 +43,15 @@ SMALL_STRAIN = 1e-2
 
 
 @dataclass(frozen=True)
-class PlasticContent(Variable):
+class PlasticContent(PerVolume):
     """K = A k >= 0, transported by its flux; k is the accumulated plastic strain, in uniaxial measure.
 
-    dK/dt + div(K v) = A dk/dt with A = 1/J; for body i the amount n_i replaces A.
+    dK/dt + div(K v) = A dk/dt with A = 1/J; for body i the amount n_i replaces A.  ``rate`` is the rate that
+    the flux gives.  A term adds the growth by yield, because the growth is not linear in Pi.  Hardening
+    before the start is part of the initial yield stress.
     """
 
     name: str = "plastic_content"
-    kind: str = "scalar"
 
     by_flux = True
 
@@ -64,15 +64,6 @@ class PlasticContent(Variable):
     def strain(self) -> str:
         """The name of the field k."""
         return self.name.replace("content", "strain", 1)
-
-    def rate(self, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
-        """The rate that the flux of the content alone gives.  A term adds the growth by yield, because the
-        growth is not linear in Pi."""
-        return -tr(L) * z[self.name]
-
-    def from_distortion(self, F: Tensor) -> Tensor:
-        """Zero; hardening before the start is part of the initial yield stress."""
-        return CF(0.0)
 
 
 PLASTIC_CONTENT = PlasticContent()

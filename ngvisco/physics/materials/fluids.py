@@ -24,15 +24,14 @@ import numpy as np
 from ngsolve import CF
 
 from ngvisco.errors import ParameterError, Quantity, require_effect, require_positive
-from ngvisco.physics.material import Material
-from ngvisco.physics.materials.hyperelastic import continued_in_J, inverse_power, referential_volume
+from ngvisco.physics.materials.hyperelastic import ContinuedInJ, inverse_power, referential_volume
 from ngvisco.physics.parameters import Modulus
 from ngvisco.physics.tensors import Tensor, log, log_det, tr
 from ngvisco.physics.variables import Jacobian, LeftCauchyGreen, ReciprocalJacobian, Values, Variable
 
 
 @dataclass(frozen=True, kw_only=True)
-class BarotropicFluid(Material):
+class BarotropicFluid(ContinuedInJ):
     """phi = B J^{-gamma} (paper: rem-barotropic-fluids, where B = 1).
 
     The Cauchy stress is -p I with p = -(J phi(J))' = (gamma - 1) B J^{-gamma}.  As rho = rho_R/J with the
@@ -105,10 +104,6 @@ class BarotropicFluid(Material):
     def variables(self) -> tuple[Variable, ...]:
         return (Jacobian(),) if self.form == "J" else (ReciprocalJacobian(),)
 
-    @property
-    def continued(self) -> frozenset[str]:
-        return continued_in_J(self.J_min)
-
     def energy(self, z: Values) -> Tensor:
         if self.form == "A":
             return self.B * z["A"] ** self.gamma
@@ -120,7 +115,7 @@ class BarotropicFluid(Material):
 
 
 @dataclass(frozen=True, kw_only=True)
-class OldroydB(Material):
+class OldroydB(ContinuedInJ):
     """phi(B, J) = K_e/2 (J - 2 + 1/J) + G_e (tr B - ln det B - 3), B = J^{-2/3} F F^T.
 
     This is the energy of Hookean dumbbells, and of Leonov's fluid; see the module's docstring.  The energy is
@@ -148,10 +143,6 @@ class OldroydB(Material):
     @property
     def variables(self) -> tuple[Variable, ...]:
         return (LeftCauchyGreen(exponent=-2 / 3), Jacobian())
-
-    @property
-    def continued(self) -> frozenset[str]:
-        return continued_in_J(self.J_min)
 
     def energy(self, z: Values) -> Tensor:
         return referential_volume(self.K_e, 0.0, 1.0, z["J"], self.J_min) + self.G_e * self.chains(z["B"])

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from ngvisco.errors import Quantity
-from ngvisco.physics.materials.hyperelastic import IsotropicElastic, continued_in_J, referential_volume
+from ngvisco.physics.materials.hyperelastic import ContinuedInJ, IsotropicElastic, referential_volume
 from ngvisco.physics.parameters import Modulus
 from ngvisco.physics.tensors import Tensor, log
 from ngvisco.physics.variables import Distortion, LeftCauchyGreen, Values
 
 
 @dataclass(frozen=True, kw_only=True)
-class Gent(IsotropicElastic):
+class Gent(ContinuedInJ, IsotropicElastic):
     """phi(H, J) = K_e/2 (J - 2 + 1/J) - G_e J_m ln(1 - (|H|^2 - 3)/J_m), H = J^{-1/3} F (Gent 1996).
 
     By B = J^{-2/3} F F^T, |H|^2 is tr B.  phi is convex in (H, J) and in (B, J), since -ln is convex and
@@ -38,10 +38,6 @@ class Gent(IsotropicElastic):
 
     by_F = Distortion("H", exponent=-1 / 3)
     by_B = LeftCauchyGreen(exponent=-2 / 3)
-
-    @property
-    def continued(self) -> frozenset[str]:
-        return continued_in_J(self.J_min)
 
     def domain(self, z: Values) -> Values:
         return {"J_m + 3 - |H|^2": self._slack(z)}

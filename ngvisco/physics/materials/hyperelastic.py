@@ -48,9 +48,14 @@ def continued(s: Callable[[Any], Any], slope: Callable[[Any], Any], J: Tensor, J
     return s(above) + slope(above) * (J - above)
 
 
-def continued_in_J(J_min: float | None) -> frozenset[str]:
-    """``Material.continued`` of an energy whose terms singular in J are all continued below ``J_min``."""
-    return frozenset() if J_min is None else frozenset({"J"})
+class ContinuedInJ(Material):
+    """A material whose terms singular in J are all continued linearly below ``J_min``."""
+
+    J_min: float | None
+
+    @property
+    def continued(self) -> frozenset[str]:
+        return frozenset() if self.J_min is None else frozenset({"J"})
 
 
 def minus_log(epsilon: Any, J: Tensor, J_min: float | None) -> Tensor:
@@ -124,7 +129,7 @@ class IsotropicElastic(Material):
 
 
 @dataclass(frozen=True, kw_only=True)
-class NeoHookean(IsotropicElastic):
+class NeoHookean(ContinuedInJ, IsotropicElastic):
     """The actual polyconvex neo-Hookean energy (paper: neo-Hookean-potential-actual).
 
         phi(F, J) = K_e/2 (J - 1 + epsilon/K_e)^2 + G_e J^{-2/3} |F|^2 - epsilon ln J
@@ -164,7 +169,7 @@ class NeoHookean(IsotropicElastic):
 
     @property
     def continued(self) -> frozenset[str]:
-        return continued_in_J(self.J_min if self.is_by_B else None)
+        return super().continued if self.is_by_B else frozenset()
 
     def first_invariant(self, z: Values) -> Tensor:
         """The invariant J^{-2/3} |F|^2."""
@@ -220,7 +225,7 @@ class MooneyRivlin(NeoHookean):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReferentialNeoHookean(IsotropicElastic):
+class ReferentialNeoHookean(ContinuedInJ, IsotropicElastic):
     """phi(H, J) = K_e/2 (J - 2 + 1/J) + G_e |H|^2, H = J^{-5/6} F (paper: exa-neo-Hookean-ref).
 
     With epsilon > 0 phi has the further term epsilon/J^{kappa + 1}, which is epsilon/J^kappa per referential
@@ -254,10 +259,6 @@ class ReferentialNeoHookean(IsotropicElastic):
             expected = "a number > 0 if epsilon is not 0, so that the energy has its minimum at J = 1"
             raise ParameterError(f"{type(self).__name__}.K_e", self.K_e, expected)
         require_effect(self, self.epsilon != 0, "with epsilon = 0", "kappa")
-
-    @property
-    def continued(self) -> frozenset[str]:
-        return continued_in_J(self.J_min)
 
     def energy(self, z: Values) -> Tensor:
         volume = referential_volume(self.K_e, self.epsilon, self.kappa, z["J"], self.J_min)

@@ -25,8 +25,8 @@ from typing import Annotated, Self
 import numpy as np
 
 from ngvisco.errors import ParameterError, Quantity
-from ngvisco.physics.material import ElasticState, Material
-from ngvisco.physics.materials.hyperelastic import continued_in_J, referential_volume
+from ngvisco.physics.material import ElasticState
+from ngvisco.physics.materials.hyperelastic import ContinuedInJ, referential_volume
 from ngvisco.physics.parameters import Modulus
 from ngvisco.physics.tensors import Tensor, cof, det, linear_map, square, tr
 from ngvisco.physics.variables import (
@@ -91,7 +91,7 @@ def powers_of_stretches(invariants: tuple[Tensor, Tensor, Tensor], weights: Mapp
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ogden(Material):
+class Ogden(ContinuedInJ):
     """phi = K_e/2 (J - 2 + 1/J) + sum_p mu_p/alpha_p (sum_i lambda_i^alpha_p - 3) (Ogden 1972).
 
     lambda_i are the principal stretches of F_iso = J^{-1/3} F, the singular values of H = F_iso; for
@@ -163,10 +163,6 @@ class Ogden(Material):
             tensors = (LeftCauchyGreen(exponent=-2 / 3), CofactorLeftCauchyGreen(exponent=-4 / 3))
         used = (max(self.alpha) > 0, min(self.alpha) < 0)
         return (*(v for v, is_used in zip(tensors, used, strict=True) if is_used), Jacobian())
-
-    @property
-    def continued(self) -> frozenset[str]:
-        return continued_in_J(self.J_min)
 
     def energy(self, z: Values) -> Tensor:
         phi = referential_volume(self.K_e, 0.0, 1.0, z["J"], self.J_min)

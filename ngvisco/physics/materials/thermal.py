@@ -33,20 +33,19 @@ from ngvisco.errors import ParameterError, Quantity
 from ngvisco.physics.material import ElasticState, Material, conjugates_along, rest_stress_and_modulus
 from ngvisco.physics.parameters import Modulus, substituted
 from ngvisco.physics.signals import sampled
-from ngvisco.physics.tensors import Tensor, exp, expm1, log, tr
-from ngvisco.physics.variables import ReciprocalJacobian, Values, Variable
+from ngvisco.physics.tensors import Tensor, exp, expm1, log
+from ngvisco.physics.variables import PerVolume, ReciprocalJacobian, Values, Variable
 from ngvisco.words import Words, call
 
 
 @dataclass(frozen=True)
-class Entropy(Variable):
+class Entropy(PerVolume):
     """The entropy per actual volume, counted in ``unit``, a heat capacity, J/(m^3 K): ds/dt = -(tr L) s.
 
-    The conjugate of the entropy is ``unit`` theta, Pa.
+    The conjugate of the entropy is ``unit`` theta, Pa.  ``Initial.temperature`` gives the initial entropy.
     """
 
     name: str = "s"
-    kind: str = "scalar"
     unit: float = 1.0
 
     is_conserved = True
@@ -57,13 +56,6 @@ class Entropy(Variable):
     If temperatures differ by a hundredth, an increment of 1e-10 in every variable, for A = 1, changes the
     energy above the energy at theta_R by 1e-8.
     """
-
-    def rate(self, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
-        return -tr(L) * z[self.name]
-
-    def from_distortion(self, F: Tensor) -> Tensor:
-        """Zero; ``Initial.temperature`` gives the initial entropy."""
-        return CF(0.0)
 
 
 NO_TEMPERATURE = Words(
