@@ -182,14 +182,14 @@ class Case:
             return Model(**parts).at_order(sections.discretisation.m)
 
     def _check_place(self, dim: int) -> None:
-        """Raise CaseError for a vector of another length, and in two dimensions for a text that reads z."""
-        for path, part in sections_in(self.sections):
+        """Raise CaseError for a text that reads z in two dimensions."""
+        for path, part in sections_in(self.sections) if dim == 2 else ():
             for name, kind in values_of(type(part)).items():
                 place, value = (*path, name), getattr(part, name)
                 parsed = parse_region if kind is REGION else parse
                 # a region may have shapes in place of a text; these tables are visited by themselves
                 texts = [(place, value)] if kind is REGION else list(nodes(value, place))
-                for key, text in texts if dim == 2 and kind is not LAW else ():
+                for key, text in texts if kind is not LAW else ():
                     if isinstance(text, str) and "z" in parsed(text).names:
                         message = f"{shown(text)}: there is no z in a mesh of two dimensions"
                         raise self.locator.error(key, message)
