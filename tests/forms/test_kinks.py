@@ -81,7 +81,7 @@ def test_a_polygon_has_to_be_declared(wall):
 @pytest.mark.parametrize("wall", [nv.Slip(straight=True), nv.Traction(f=(-y, x), straight=True)])
 @pytest.mark.parametrize("mesh", [lambda: polygon(5, 0.5), lambda: disc(1, 0.5)], ids=["corners", "curved"])
 def test_declaring_a_wall_that_is_no_polygon_is_refused(mesh, wall):
-    """The declaration would have no effect."""
+    """On such a wall, the declaration would have no effect."""
     with pytest.raises(
         nv.ParameterError, match=r"walls\['wall'\]\.straight = True: expected False, .* not bent"
     ):

@@ -89,7 +89,8 @@ def transported(
     F_0: np.ndarray,
     by: list[Variable] | None = None,
 ) -> np.ndarray:
-    """The variables at TIME by their own rates, or those of others, from the values that belong to F_0."""
+    """The variables at TIME by their own rates, or by the rates of ``by``, from the values that belong to
+    F_0."""
     start = pack(variables, F_0)
     A, b = linear_rate(by or variables, start.size, L, Pi)
     return integrate(lambda t, z: A @ z + b, start)

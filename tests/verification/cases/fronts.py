@@ -71,7 +71,7 @@ for name, what, creeping in (
 def _lagrangian(times: list[float], line: np.ndarray, cells: int = 400) -> np.ndarray:
     """rho at the places ``line``, (times, places), of a periodic tube, by ordinary differential equations.
 
-    They are lambda' = d_X v, v' = d_X (P + (K_v + 4/3 G_v) lambda'/lambda), P = dW/dlambda of F =
+    The equations are lambda' = d_X v, v' = d_X (P + (K_v + 4/3 G_v) lambda'/lambda), P = dW/dlambda of F =
     diag(lambda, 1, 1).
     """
     X = np.arange(cells) / cells

@@ -50,7 +50,7 @@ NO_SLIP = Plates(nv.NoSlip, 1, 3.117, 1707.762, (1600.0, 1800.0))
 def _mode(plates: Plates, Ra: float) -> tuple[float, Polynomial, Polynomial]:
     """Growth, W and Theta of the fastest mode exp(growth t) (W, Theta)(y) cos(k x), for nu = kappa/c = 1.
 
-    They are found by collocation of (D^2 - k^2 - s)(D^2 - k^2) W = Ra k^2 Theta, (D^2 - k^2 - s) Theta =
+    The mode is found by collocation of (D^2 - k^2 - s)(D^2 - k^2) W = Ra k^2 Theta, (D^2 - k^2 - s) Theta =
     -W."""
     n, k = POINTS, plates.wave
     points = np.cos(np.pi * np.arange(n + 1) / n)
