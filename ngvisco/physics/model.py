@@ -355,8 +355,9 @@ def _faults(body: Body, bodies: Sequence[Body]) -> Iterable[tuple[str, str]]:
         together = Words(False, ", since the scheme heats all bodies together; see ", Mention("Model.heat"))
         yield "heat.numerical_heating", together
     if getattr(material, "J_min", None) is not None:
-        expected = "a material without J_min, since the continued energy is not convex per reference volume"
-        yield "material", expected
+        expected = "a material without J_min, since the continued energy is not convex per reference volume; "
+        remedy = " around NeoHookean with J_min continues the energy per reference volume"
+        yield "material", Words(expected, call("PerReferentialVolume", material=...), remedy)
     for branch, rule in body.rules.items():
         key = "creep" if branch is None else "material"
         if rule.nu:
@@ -377,7 +378,7 @@ def _faults_of_damage(
     if broken.breaking is not None:
         yield "material.breaking", "None, since all branches of a body break together"
     if any(entropy_in(member.material) is not None for member in bodies):
-        yield "material", "a material without damage, since some bodies have heat"
+        yield "material", "no damage beside heat, since damage grows at held volumes, not at held entropies"
 
 
 def _require_bulk(material: Material) -> None:

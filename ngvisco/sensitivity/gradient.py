@@ -195,7 +195,7 @@ def gradient(
         expected = "no start values, since the run has begun"
         raise ParameterError("by", by, expected)
     if method == "adjoint" and simulation.bounds.sharpening is not None:
-        expected = "'tangent' for a run with Discretisation.sharp, since such a run has no adjoint"
+        expected = "'tangent' for a run with Discretisation.sharp, whose planes have no transposed derivative"
         raise ParameterError("method", method, expected)
     simulation.stop_requested = False
     slopes = Slopes(base) if method == "adjoint" else None

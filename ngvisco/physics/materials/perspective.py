@@ -190,7 +190,7 @@ class ReferenceEnergy(Material):
             expected = "a material with J or 1/J, since bodies share the volume of a point"
             raise ParameterError(self.owner, self.material, expected)
         if self.material.response(3) is not None:
-            expected = "a material whose energy is an expression, and not a Yosida approximation"
+            expected = "a material whose energy is an expression f(B) + U(J), and not a Yosida approximation"
             raise ParameterError(self.owner, self.material, expected)
         values_at_rest = {v.name: v.from_distortion(IDENTITY) for v in self.material.variables}
         if domain := self.material.domain(values_at_rest):
@@ -282,7 +282,7 @@ class ReferenceEnergy(Material):
                 "volume is not convex per reference volume; IsochoricNeoHookean, ReferentialNeoHookean, "
                 "ReferentialMooneyRivlin, ",
                 call("PerReferentialVolume", material=...),
-                ' with elastic_state = "B" have such an energy',
+                ' with elastic_state = "B" have such an energy, also around WithQuadratic',
             )
             raise ParameterError(self.owner, self.material, expected)
         if not (hessian[:, volume, volume] > 0).all() and not self.is_gas:
