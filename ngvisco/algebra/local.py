@@ -31,15 +31,6 @@ class Functions(NamedTuple):
     nodal: np.ndarray  # (sides, functions, nodes)
     shape: np.ndarray | None  # interpolates from the nodes, (nodes, points); None if all points are nodes
 
-    @classmethod
-    def of(cls, values: np.ndarray) -> Functions:
-        """Find nodes for functions with given ``values`` at the points, (sides, functions, points)."""
-        return cls(*_nodes(values, 1))
-
-    def part(self, sides: slice) -> Functions:
-        """The functions on some sides, as a view."""
-        return Functions(self.nodal[sides], self.shape)
-
     @property
     def values(self) -> np.ndarray:
         """Values at the points, (sides, functions, points), computed at each access."""

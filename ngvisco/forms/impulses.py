@@ -235,7 +235,8 @@ class Impulses:
         """
         self.step.local_unknowns.update_energy()
         none, of_cells = np.zeros(len(self.motions)), self._in_cells()
-        by_arrays = self._by_arrays()
+        on_sides = {} if self.step.energy.projected is not None else self.on_sides(self._at_sides)
+        by_arrays = {name: self.velocities @ rows for name, rows in on_sides.items()}
         forms = {name: form for name, form in self._on_facets.items() if name not in by_arrays}
         rows = [form.Assemble().vec.FV().NumPy() @ self._coefficients.T for form in forms.values()]
         totals = self._ranks.totals(np.array([*rows, *by_arrays.values()]))
@@ -250,12 +251,6 @@ class Impulses:
         of_cells_ = -left[ELASTIC] - pressed - thrust
         defects = thrust - left.get(ENTERING, none), of_cells_, -left[SKEW]
         return impulses | dict(zip(DEFECTS, defects, strict=True))
-
-    def _by_arrays(self) -> dict[str, np.ndarray]:
-        """This rank's share of the forces on facets by arrays, as far as terms at points make them."""
-        if self.step.energy.projected is not None:
-            return {}
-        return {name: self.velocities @ rows for name, rows in self.on_sides(self._at_sides).items()}
 
     def _at_sides(self, u: Fields, w: Fields) -> dict[str, list[CoefficientFunction]]:
         """Integrands on the sides of cells, by group, of the forces for a test w."""

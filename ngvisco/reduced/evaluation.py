@@ -361,7 +361,7 @@ class FacetTerms(_Terms):
         all cells."""
         return FacetTerms(self._step, self.op.part(cells), self.context.samples)
 
-    def loads_by_names(self, integrands: OnSides, u: Fields) -> Rows:
+    def loads_by(self, integrands: OnSides, u: Fields) -> Rows:
         """Loads of v of integrands, by the integrands' names."""
         return {
             name: self.op.v.loads(self._full(factors_of(parts)["v"]))

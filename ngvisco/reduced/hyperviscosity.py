@@ -144,12 +144,10 @@ class MatrixHyperviscosity:
         by_components = loads.reshape(self.dim, self.size, self.step.mesh.ne, self.h_values.local)
         return self.lift.test(by_components.swapaxes(1, 2).reshape(self.dim, -1))
 
-    def dissipated_on_sides(
-        self, v: np.ndarray, a: np.ndarray, z: np.ndarray, s: np.ndarray | None
-    ) -> dict[str, float]:
-        """Dissipation by the penalty, W, by the ledger's names, at coefficients of v, a, z and |Hs|^2."""
-        jumps = self.sides.jump(np.concatenate([v, a], axis=1))
-        powers = self.term.dissipated_on_facets(self.sides.values(jumps, s, z))
+    def dissipated_on_sides(self, x: np.ndarray, z: np.ndarray, s: np.ndarray | None) -> dict[str, float]:
+        """Dissipation by the penalty, W, by the ledger's names, at x = (v, a) side by side and coefficients
+        of z and |Hs|^2."""
+        powers = self.term.dissipated_on_facets(self.sides.values(self.sides.jump(x), s, z))
         return {name: float((self.sides.weights * power.value).sum()) for name, power in powers.items()}
 
     def __call__(self, v: np.ndarray, a: np.ndarray, z: np.ndarray) -> HyperValues:

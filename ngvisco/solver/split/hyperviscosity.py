@@ -95,8 +95,8 @@ class HyperDerivative:
         # second derivatives by s = P |Hs|^2 and q = |j|^2, a symmetric matrix
         s_slope = law.slope(Array(h.s_values(hess_square), None), h.tensors(at.z)).value
         self._s_slope = rounded(weights * s_slope.reshape(weights.shape), unit / H**2)
-        self._ss, of_s = of_sides(bend, unit / H**2), slope + bend / squared_h
-        self._sq = of_sides(of_s, unit / (H * J))
+        of_s = slope + bend / squared_h
+        self._ss, self._sq = of_sides(bend, unit / H**2), of_sides(of_s, unit / (H * J))
         self._qq = of_sides((slope + of_s) / squared_h, unit / J**2)
 
     def _on_sides(self, at: HyperValues) -> Fields:

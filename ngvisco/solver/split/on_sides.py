@@ -16,9 +16,7 @@ from ngvisco.reduced.residual import CellPart, ReducedResidual
 def rows_on_sides(residual: ReducedResidual, integrands: OnSides) -> dict[str, np.ndarray]:
     """Rows of v, of this rank's cells, by the names of the integrands, (unknowns of v,)."""
     c = residual.of_state(residual.facet_terms.names)
-    parts = residual.share(
-        lambda part: part.sides.loads_by_names(integrands, part.sides.fields(c)), residual.parts
-    )
+    parts = residual.share(lambda part: part.sides.loads_by(integrands, part.sides.fields(c)), residual.parts)
     loads = {name: np.concatenate([of[name] for of in parts], axis=-1) for name in parts[0]}
     return {name: residual.side_op.v.summed(values).ravel() for name, values in loads.items()}
 
@@ -42,8 +40,8 @@ def dissipated_on_sides(residual: ReducedResidual) -> dict[str, float]:
 
     parts = residual.share(totals, residual.parts)
     if residual.hyper is not None:
-        x = residual.unknowns.coefficients(residual.unknowns.pack())
-        square = residual.of_state(["hess_square"]).get("hess_square")
-        parts.append(residual.hyper.dissipated_on_sides(x["v"], x["a"], x["z"], square))
+        c = residual.unknowns.coefficients(residual.unknowns.pack()) | residual.of_state(["hess_square"])
+        x = np.concatenate([c["v"], c["a"]], axis=1)
+        parts.append(residual.hyper.dissipated_on_sides(x, c["z"], c.get("hess_square")))
     names = dict.fromkeys(name for sums in parts for name in sums)
     return {name: residual.ranks.total(sum(sums.get(name, 0.0) for sums in parts)) for name in names}
