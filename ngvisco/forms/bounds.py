@@ -251,7 +251,7 @@ class Bounds:
                 where = self.sampler.place_of_cells(far[np.argsort(-means[far], kind="stable")])
                 self.parted = (
                     f"the volume ratios from {pair} differ by {worst:.0%} in the mean {where}; more than "
-                    f"{self.most:.0%} is refused, since the stress has the same relative error"
+                    f"{self.most:.0%} is refused, since the stress can be wrong by as much"
                 )
                 return self.parted
         return None

@@ -25,16 +25,16 @@ from ngvisco.physics.variables import (
 )
 
 DRIFT = 0.1
-"""A step is refused if the cell mean of |det F/J - 1| is above this number, which is the relative error of
-the stress."""
+"""A step is refused if the cell mean of |det F/J - 1| is above this number, the size of the error
+that the stress can then have."""
 
 
 def parted(material: Material, pair: str, rms: float, largest: float, where: str) -> str:
     """The message of a run about a ``pair`` of variables with relative differences, largest at ``where``."""
     return (
         f"{pair} differ by {rms:.1%} in the mean square, and by {largest:.1%} {where}. The variables no "
-        "longer belong to one distortion, so that the stress has the same relative error, although the "
-        f"ledger closes. Take {remedy(material)}"
+        "longer belong to one distortion, so that the stress at a point can be wrong by as much, although "
+        f"the ledger closes. Take {remedy(material)}"
     )
 
 
