@@ -21,7 +21,7 @@ def tree_of(path: Path) -> ast.Module:
 
 
 def docstrings(path: Path) -> Iterator[tuple[int, str]]:
-    """Lines and texts of the docstrings of modules, classes, functions and attributes."""
+    """Line and text of each docstring of a module, a class, a function or an attribute."""
     nodes: list[ast.AST] = [tree_of(path)]
     while nodes:
         node = nodes.pop()

@@ -5,10 +5,11 @@ change by a continuous, piecewise linear delta, d = d* + delta and q = q* + G de
 
     int phi(z, d* + delta, q* + G delta) + sum_i m_i eta delta_i^2/(2 tau)      for low <= delta <= high,
 
-m_i lumped masses, G delta = grad delta, or F^T grad delta for the referential slope.  low = 0, so that damage
-never falls, or -d* with healing, whose viscosity eta holds for delta_i < 0.  high = 1 - d*, the minimum over
-a vertex' cells, so that d <= 1 at all points.  phi is quadratic in (d, q).  With the second derivative H of
-phi, and the slope r at the minimum, which includes the viscosity's slope,
+with lumped masses m_i, and G delta = grad delta, or F^T grad delta for the referential slope.  ``low`` is 0,
+so that damage never falls; with healing it is -d*, and eta is the viscosity of healing where delta_i < 0.
+``high`` is 1 - d*, the minimum over a vertex' cells, so that d <= 1 at all points.  phi is
+quadratic in (d, q).  With the second derivative H of phi, and the slope r at the minimum, which includes the
+viscosity's slope,
 
     E* - E = sum_i m_i eta delta_i^2/tau + delta.H delta/2 - r.delta
 
@@ -16,10 +17,10 @@ exactly: ``dissipation_damage``, a Bregman distance, and the work of the bounds 
 r_i delta_i <= 0 by the signs at the bounds, and 0 at low = 0: ``bregman_damage`` >= 0 is the sum of distance
 and work.
 
-In the step the conjugates of z are phi'_z(z; d_old, q_old), and of (d, q) phi'_(d,q)(z; d, q)
+In the step the conjugates of z are phi'_z(z; d_old, q_old), and those of (d, q) are phi'_(d,q)(z; d, q)
 (``StoredEnergy``).  The step's ``bregman`` is therefore the sum of two distances
 
-    phi(z_old; d_old) - phi(z; d_old) - phi'_z(z; d_old):(z_old - z)   and the one of (d, q) at z,
+    phi(z_old; d_old) - phi(z; d_old) - phi'_z(z; d_old):(z_old - z)   and the distance of (d, q) at z,
 
 both >= 0, although phi is not jointly convex.
 

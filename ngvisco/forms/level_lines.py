@@ -65,7 +65,7 @@ class LevelLines:
         self._values = (values - self._level[:, None])[:, self._pieces]
 
     def projected(self) -> np.ndarray:
-        """Integrals of 3 lambda over the part phi > c, over the cell's size, (cells, 3 corners)."""
+        """Integrals of 3 lambda over the part phi > c, divided by the cell's size, (cells, 3 corners)."""
         doubled = [np.concatenate([self._values, self._values[..., [c]]], axis=2) for c in range(3)]
         shares = np.stack([share_above(values) for values in doubled], axis=2)
         return np.asarray(np.einsum("kpc,pce->ke", shares, self._lambdas[self._pieces]) / len(self._pieces))

@@ -376,8 +376,8 @@ class Sharpening:
         return chosen
 
     def _projected(self, u: np.ndarray, i: int, j: int) -> np.ndarray:
-        """Integrals of (dim + 1) lambda over body i's part within its outline, over the cell's size, (cells,
-        corners)."""
+        """Integrals of (dim + 1) lambda over body i's part of a cell within the outline, divided by the
+        cell's size, (cells, corners)."""
         theta = self._fraction(u, i)
         lines, cut = self._lines(theta, i, j, at_start=False)
         result = np.repeat(theta[:, None], self.dim + 1, axis=1)

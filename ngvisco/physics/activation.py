@@ -18,7 +18,7 @@ GAS_CONSTANT = 8.31446261815324
 
 @dataclass(frozen=True, kw_only=True)
 class _Activation(Checked):
-    """The factor a = exp(E/(R theta_R) - (E + p V)/(R theta)), the rate over the rate at theta_R, p = 0."""
+    """The factor a = exp(E/(R theta_R) - (E + p V)/(R theta)), 1 at theta_R and p = 0."""
 
     E: Annotated[float, Quantity("J/mol", example=2e5)]
     theta_R: Annotated[float, Quantity("K", "> 0", 300.0)]
@@ -110,7 +110,7 @@ class Activated(_Activation, _Faster):
     E : float
         Activation energy.
     theta_R : float
-        Temperature at which the rule is as given.
+        Temperature at which ``rule`` holds unchanged.
     V : float
         Activation volume; where it is > 0, pressure slows creep down.
     temperature : float, optional
@@ -136,7 +136,7 @@ class WLF(_Faster):
     C_2 : float
         Difference between theta_R and the temperature at which creep stops.
     theta_R : float
-        Temperature at which the rule is as given.
+        Temperature at which ``rule`` holds unchanged.
     temperature : float, optional
         As for ``Activated``.
     """

@@ -222,7 +222,7 @@ class ConvexityReport:
     worst: float = 0.0
     """Smallest [phi(b) - phi(a) - phi'(a):(b - a)]/|b - a|^2, Pa; 0 when the energy passed."""
     point: dict[str, np.ndarray] | None = None
-    """The state a of the cited pair, 3x3 or scalar values by name; None when the energy passed."""
+    """The state a of the cited pair, as 3x3 or scalar values by name; None if the energy passed."""
     direction: dict[str, np.ndarray] | None = None
     """The increment b - a of the cited pair."""
     reachable: bool = False

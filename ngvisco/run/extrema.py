@@ -31,7 +31,7 @@ pair of variables and sign."""
 class Extremum:
     """A function whose largest or least value over points is a column.
 
-    ``choices`` gives the values, (points, values), among which the extremum is, from rows of the function.
+    ``choices`` computes from the function's rows the values, (points, values), that are compared.
     """
 
     function: CoefficientFunction

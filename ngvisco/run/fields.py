@@ -211,7 +211,7 @@ CONTINUOUS = frozenset({"velocity"})
 
 
 def with_outlines(names: Sequence[str], available: Iterable[str]) -> list[str]:
-    """Names of fields, with the fractions among the ``available`` ones that outline the bodies of a run.
+    """The ``names`` of fields, and those ``available`` fractions that outline the bodies of a run.
 
     The fractions stand together before ``body``, by which ``frames.outlined`` finds them.
     """

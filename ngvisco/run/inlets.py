@@ -27,7 +27,7 @@ _ROUNDING = 1e-9
 
 
 class InflowWarning(NgviscoWarning):
-    """An inflow has another stress than the body inside, or a density that nothing determines."""
+    """Entering matter has another stress than the body inside, or a density that nothing determines."""
 
 
 class Inlets:

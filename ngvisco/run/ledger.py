@@ -101,7 +101,7 @@ class DefectWarning(NgviscoWarning):
 class Ledger:
     """Evaluates a row after every step; a step with |closure_relative| above ``closed`` does not close.
 
-    A row of an earlier part of the run is judged by this part's limit, whose tolerance may differ.
+    Each row is judged by the limit of its own part of the run, since the parts' tolerances may differ.
 
     Attributes
     ----------

@@ -123,7 +123,7 @@ class Refinement:
 def run_refined(
     simulation: Simulation, refinement: Refinement, until: float, checkpoint: AnyPath | None = None
 ) -> Simulation:
-    """Run on meshes that follow a field, refined from the mesh of ``simulation``; the run on the last mesh.
+    """Run on meshes that follow a field, refined from the mesh of ``simulation``; return the last mesh's run.
 
     The last run has the ledger of all meshes.  Observers get a call of ``start`` on every mesh, as in a
     resumed run.  Raises ParameterError, UnknownNameError, MeshError or CheckpointError for arguments that do

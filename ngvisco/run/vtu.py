@@ -43,7 +43,7 @@ def write_vtu(
 def write_lines(
     path: Path, points: np.ndarray, segments: np.ndarray, columns: Mapping[str, np.ndarray]
 ) -> None:
-    """Write segments between points, (points, 3), with columns of values there, into one .vtu file."""
+    """Write segments between points, (points, 3), and columns of values at the points into one .vtu file."""
     widths = {name: column.shape[1] for name, column in columns.items()}
     write_atomically(path, _content(np.hstack([points, *columns.values()]), segments, widths))
 

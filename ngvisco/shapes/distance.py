@@ -25,7 +25,7 @@ def signed_distance(mesh: Mesh, shape: HasLevel, order: int) -> GridFunction:
     """Distance from the outline of a shape, > 0 inside, in discontinuous P_order; mesh of triangles.
 
     At the outline the error is of second order in h/32, with the size h of a cell; at corners of the outline
-    it is the projection's error.
+    the error is that of the projection.
     """
     cells, ranks = np.arange(mesh.ne), Communicator.of(mesh)
     outline = np.concatenate(ranks.gathered(_outline(mesh, cells, shape)))

@@ -75,7 +75,7 @@ def fractions(mesh: Mesh, shapes: Sequence[HasLevel], order: int = 1) -> list[Gr
 
 
 def volumes(mesh: Mesh, shapes: Sequence[HasLevel]) -> list[float]:
-    """Volumes in the mesh of the uncovered part of each shape and, last, of the rest, m^dim."""
+    """Volumes in the mesh, m^dim: of each shape's uncovered part, and last of the part outside all shapes."""
     cells = np.array(Integrate(CoefficientFunction(1.0), mesh, VOL, element_wise=True))
     volumes = np.array([cells @ part.vec.FV().NumPy() for part in fractions(mesh, shapes, 0)])
     return [float(volume) for volume in Communicator.of(mesh).totals(volumes)]

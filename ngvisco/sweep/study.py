@@ -69,7 +69,7 @@ class Outcome:
         return self.state in (FINISHED, NOT_CLOSED)
 
     def read(self, place: RunDirectory, case: Case) -> None:
-        """Read the last rows from the run's directory, and set the state from the ledger.
+        """Read the last rows from the run's directory, and derive the run's state from the ledger.
 
         Raises CheckpointError if the run's file cannot be read.
         """

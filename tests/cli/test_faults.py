@@ -54,7 +54,7 @@ def assert_same_run(a, b):
 
 
 def assert_goes_on(place, case_file, number):
-    """Assert that two steps beyond a run's step of this number give the uninterrupted run."""
+    """Assert that a run resumed after step ``number`` for two steps equals the uninterrupted run."""
     whole, end = place.parent / "whole", round((number + 2) * 0.02, 10)
     assert command("resume", place, "--until", end, "--quiet")[0] == DONE
     assert command("run", case_file, "-o", whole, "--quiet", "--set", f"time.until={end}")[0] == DONE

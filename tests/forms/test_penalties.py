@@ -1,5 +1,5 @@
-"""Interior penalties let jumps between cells decay: without penalties constants in cells would stay for
-ever."""
+"""Interior penalties let jumps between cells decay: without penalties, fields that are constant in cells
+would never change."""
 
 import math
 
@@ -21,7 +21,7 @@ EXACT = sum(
 
 
 def left(run, field):
-    """The difference between the halves' means, over that of the start, 1."""
+    """The difference between the means of the halves, relative to the difference at the start, which is 1."""
     sides = IfPos(x - 0.5 * LENGTH, 1.0, -1.0)
     return 2 / (LENGTH * 0.25) * Integrate(run.fields[field] * sides, run.mesh)
 

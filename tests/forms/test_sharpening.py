@@ -92,8 +92,8 @@ def test_masses_sum_of_amounts_and_energy_are_kept(material, mesh):
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_shares_of_simplices_are_those_of_many_points(rng, dim):
-    """Shares are compared with those of many points of the simplex, also for equal values; a vertex given
-    twice weighs by its lambda."""
+    """Shares agree with counts of random points in the simplex, also for equal values at vertices. With a
+    repeated vertex, points have the weight lambda of this vertex."""
     points = rng.dirichlet(np.ones(dim + 1), 200_000)
     cases = [rng.uniform(-1, 1, dim + 1) for _ in range(6)]
     cases += [np.array([1.0, *[0.0] * (dim - 1), -1.0]), np.array([*[0.5] * dim, -0.5])]
@@ -386,8 +386,8 @@ def strip_off(scheme, dt=0.0125):
 
 @pytest.mark.parametrize("scheme", ["backward-euler", "midpoint", "sdirk2"])
 def test_a_strip_goes_where_it_is_carried(scheme, monkeypatch):
-    """The fluxes of all stages count. One scheme shows that the strip goes astray without an exchange, and
-    with an exchange in the wrong direction."""
+    """The exchange has to use the fluxes of all stages. One scheme shows that the strip goes astray without
+    an exchange, and with an exchange in the wrong direction."""
     assert strip_off(scheme) < 0.03
     if scheme != "midpoint":
         return

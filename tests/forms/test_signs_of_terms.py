@@ -1,4 +1,4 @@
-"""Signs and factors that the energy's ledger cannot see, since form and column have them both.
+"""Signs and factors that the energy ledger cannot check, since the form and the column share them.
 
 A body that moves as a whole is pushed for one short step: its momentum changes by the forces of its walls.
 """

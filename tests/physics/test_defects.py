@@ -32,8 +32,8 @@ def test_variables_of_one_distortion_have_none(name):
 
 @pytest.mark.parametrize("name", PAIRED)
 def test_each_variable_that_parts_is_seen(name):
-    """Any one variable is off by 5 %; J cannot be compared with tensors of determinant one, which do not
-    contain it."""
+    """Each variable in turn is wrong by 5 %. J cannot be compared with tensors of determinant one, which do
+    not contain J."""
     z = state(PAIRED[name])
     ratios = [v.volume_ratio(tensor(z[v.name])) for v in PAIRED[name].variables if v.creeps]
     isochoric = all(abs(n) < 1e-12 for _, n in ratios)

@@ -97,7 +97,7 @@ def row_of(where, mesh, measures=()):
 
 
 def test_a_layer_around_a_channel_stays_in_its_place():
-    """A layer meets its own image on both sides; its ellipse is that of the rectangle in the domain."""
+    """A layer meets its own image on both sides. The layer has the ellipse of its rectangle in the domain."""
     layer = nv.Block((-1.0, 0.25), (2.0, 0.5))
     row = row_of(layer, structured_box((1.0, 1.0), (8, 8), periodic="x"), ["deformation", "outline"])
     # 4/sqrt(12) times the sides; the outline of a layer of two cells is the two lines beside it
@@ -107,7 +107,7 @@ def test_a_layer_around_a_channel_stays_in_its_place():
 
 
 def test_a_layer_is_put_together_across_the_boundaries_that_it_lies_on():
-    """It meets its own image in x only: its halves at the bottom and the top are one layer."""
+    """The layer meets its own image in x only: the halves at the bottom and the top are one layer."""
     layer = nv.Block((-1.0, -1.0), (2.0, 0.125)) | nv.Block((-1.0, 0.75), (2.0, 2.0))
     row = row_of(layer, structured_box((1.0, 1.0), (8, 8), periodic="xy"), ["deformation"])
     assert (row["body_x"], row["body_y"]) == pytest.approx((0.5, 0.9375), rel=1e-9)

@@ -1,4 +1,4 @@
-"""Flow rules and viscosities of the state in both solvers, alone and of bodies."""
+"""Flow rules and state-dependent viscosities with both solvers, of one material and of bodies."""
 
 from dataclasses import dataclass
 

@@ -314,8 +314,8 @@ def test_walls_stresses_beside_two_levels_take_few_more_iterations():
 @pytest.mark.long
 @pytest.mark.ci
 def test_sweeps_follow_the_courant_number_and_no_step_is_retried():
-    """Three sweeps of the transport do not suffice for Newton's increments. More sweeps, with the fields'
-    systems solved, do."""
+    """Newton's increments need more than three sweeps of the transport, and solutions of the fields'
+    systems."""
     run = simulation(mesh=box((1, 1), maxh=0.2, periodic="x"), speed=300.0, dt=1e-3)
     rows = [run.advance() for _ in range(2)]
     assert rows[0]["cfl"] > 1.9 and min(row["cfl"] for row in rows) > 1.5

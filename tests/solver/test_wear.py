@@ -25,8 +25,8 @@ def renewals(directions, new):
 
 
 def test_a_new_tangent_that_spares_no_direction_is_not_formed():
-    """The directions are those of eight increments on 50,552 tetrahedra, where six new tangents saved
-    nothing."""
+    """The counts of directions are from a step on 50,552 tetrahedra, in which six new tangents saved no
+    direction."""
     directions = [21, 24, 23, 23, 24, 14, 14]
     assert renewals(directions, directions) == []
 

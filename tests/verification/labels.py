@@ -119,7 +119,7 @@ def label_modules() -> dict[str, tuple[str, ...]]:
 
 
 def cases_by_label(cases: Iterable[Case]) -> dict[str, list[str]]:
-    """The names of the cases that mention each label, also in a bound's reason."""
+    """The names of the cases that mention each label, as the case's label or in the reason of a bound."""
     found: dict[str, list[str]] = {}
     for case in cases:
         said = " ; ".join([case.label, *(bound.reason for bound in case.bounds)])

@@ -185,7 +185,7 @@ class VelocityOfMomentum:
         return self._load.Assemble().vec.FV().NumPy().copy()
 
     def __call__(self, keeps_walls: bool = False) -> np.ndarray:
-        """Solve; return the rows int rho v . w - <m, w>, nonzero at walls only, (unknowns of v,).
+        """Solve; return the rows int rho v . w - <m, w>, (unknowns of v,), which are zero except at walls.
 
         On walls with multipliers v.n is the value prescribed at the present time, or that of the state
         (``keeps_walls``).

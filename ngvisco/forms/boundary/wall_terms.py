@@ -184,7 +184,7 @@ class Carried(OnWall):
         """Means of ``given`` over the step."""
 
     def continues(self, name: str) -> bool:
-        """Whether the wall gives no value of ``name``, ``"rho"`` or ``"z"``."""
+        """Whether the wall prescribes no value of ``name``, which is ``"rho"`` or ``"z"``."""
         return self.given.density is None if name == "rho" else self.given.is_of_density_alone
 
     def entering(self, u: Fields, name: str) -> CoefficientFunction:

@@ -1,4 +1,4 @@
-"""Sampling checks of flow rules and viscosities: power, symmetry, monotony, the potential of the rate."""
+"""Sampling checks of flow rules and viscosities: power, symmetry, monotonicity, potential of the rate."""
 
 from __future__ import annotations
 

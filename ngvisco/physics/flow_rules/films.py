@@ -36,7 +36,7 @@ class Films(FlowRule):
     """Pi = sum S_f/(2 G_v) of the shear of M across the interface, f the fluids and S_f = chi_f theta_f."""
 
     fluids: tuple[tuple[str, StokesViscosity], ...]
-    """Pairs of a fluid's name and its viscosity, with G_v > 0."""
+    """Pairs of a fluid's name and its viscosity; the shear viscosity G_v is positive."""
     fractions: Fractions
     stiffness: float = 0.0
     """Half of the body's stress per creep strain at rest, Pa, at typical values of its parameters."""

@@ -42,7 +42,7 @@ class _AtPoints:
     """K, (points, n, n)."""
 
     def __init__(self, residual: ReducedResidual, terms: CellTerms, asked: list[PointTerm]) -> None:
-        """``asked``: the terms whose stresses, or whose rows of z, depend on z."""
+        """``asked``: the terms whose stresses or rows of z depend on z."""
         self.residual, self.terms, self.op, self._asked = residual, terms, terms.op, asked
         self.components = residual.step.layout.states.size
         self.slope = PointwiseSlope(residual.step, self.op.points)
@@ -320,8 +320,7 @@ class PointTangent(_AtPoints):
         return self.tau * self.force @ (resolvent @ self.columns)
 
     def _resolvent(self, cells: slice) -> Resolvent:
-        """The resolvent of some cells, which is stored if the mesh is one part or if no series replaces the
-        resolvent."""
+        """The resolvent of some cells; it is stored if the mesh is one part, or if no series replaces it."""
         groups = self._groups(cells)
         tested = self.tested(cells, groups)
         if self.collocated is not None:

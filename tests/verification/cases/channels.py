@@ -172,7 +172,8 @@ def _past_cylinder(
 ) -> nv.Simulation:
     """The simulation, with an inflow that grows from rest; in a continued run the growth has ended.
 
-    One mode is the material alone; several are a network, whose first branch has the volumetric energy.
+    One mode is a single material. Several modes are the branches of a network, of which the first has the
+    volumetric energy.
     """
     chains, grown = 1 - BETA, 1 - exp(-6 * nv.time)
     rate = -0.75 * y * grown  # shear rate of the flow between plates
@@ -273,9 +274,10 @@ class Seconds(nv.Observer):
 
 
 def _drags(mesh: Mesh, modes: Modes, until: float, solver: Solver = "coupled") -> Drags:
-    """A flow from rest.
+    """Run a flow from rest.
 
-    The split solver takes a third of the time while a step has a solution, but at Wi = 0.7 it halves steps.
+    The split solver takes a third of the coupled solver's time as long as each step has a solution. At
+    Wi = 0.7, the split solver halves steps.
     """
     forces, seconds = nv.WallForces(["cylinder"]), Seconds()
     run = _past_cylinder(mesh, modes, forces, seconds, solver=solver)

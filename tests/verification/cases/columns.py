@@ -1,4 +1,4 @@
-"""Columns at rest under their weight: rock in a box, and one so soft that its density grows by half.
+"""Columns at rest under their weight: rock in a box, and a column so soft that its density grows by half.
 
 The energy phi = K/2 (J - 2 + 1/J) has the pressure K (1 - J).  With rho = rho_R/J the pressure grows by
 rho_R g/J a metre, so that J = sqrt(1 - 2 rho_R g s/K) at the depth s.

@@ -32,9 +32,9 @@ POINTS = 24
 class Plates:
     """Two plates 1 m apart, and the onset of convection between them.
 
-    The fields are a function that makes a plate with a ``WallHeat``; the order of the derivative of W that
-    vanishes at a plate, where W and Theta vanish too; the critical wave number, 1/m; the critical Rayleigh
-    number; and two Rayleigh numbers, one below and one above the critical one."""
+    ``wall`` makes a plate with a ``WallHeat``.  At a plate, W, Theta and the derivative of W of the order
+    ``derivative`` vanish.  ``wave`` is the critical wave number, 1/m, and ``critical`` the critical Rayleigh
+    number.  The first Rayleigh number of ``numbers`` is below the critical number, the second above it."""
 
     wall: Callable[..., Any]
     derivative: int

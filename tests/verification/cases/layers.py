@@ -204,7 +204,7 @@ def frequency(ratio: float) -> float:
 
 
 def mode(ratio: float, shear: float) -> tuple[float, CoefficientFunction]:
-    """The frequency omega, 1/s, and the velocity in the gel, m/s, 1 at the surface."""
+    """The frequency omega, 1/s, and the velocity in the gel, m/s, which is 1 at the surface."""
     if not shear:
         low = CF((-sin(K * x) * cosh(K * y), cos(K * x) * sinh(K * y)))
         return frequency(ratio), low / math.sinh(K * DEPTH)
