@@ -13,7 +13,7 @@ the forms' rules.  NGSolve's form takes 7 to 24 times as long (``tests/benchmark
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -60,12 +60,15 @@ class SideJumps:
         """Sizes of the points' cells, m, (points,)."""
         return self.op.h
 
-    def values(self, j: np.ndarray, s: np.ndarray | None, z: np.ndarray) -> Fields:
-        """Fields on the sides: the jumps ``j``, and |Hs|^2 and z from their coefficients ``s`` and ``z``."""
-        c = {"z": z} if s is None else {"z": z, "hess_square": s}
-        context: Any = SimpleNamespace(h=Array(self.h, None), curvature=self._context.curvature.Get())
-        parts = Lazy(lambda name: Array(self.op.of(name)(c[name]), None), c, FACETS)
-        u = Fields(self.op.layout, parts, context)
+    def values(
+        self, j: np.ndarray, s: np.ndarray | None, z: np.ndarray, op: PointOperators | None = None
+    ) -> Fields:
+        """Fields on the sides: the jumps ``j``, and |Hs|^2 and z from their coefficients ``s`` and ``z``, at
+        the points of ``op``, by default of all sides."""
+        c, op = {"z": z} if s is None else {"z": z, "hess_square": s}, op or self.op
+        context: Any = SimpleNamespace(h=Array(op.h, None), curvature=self._context.curvature.Get())
+        parts = Lazy(lambda name: Array(op.of(name)(c[name]), None), c, FACETS)
+        u = Fields(op.layout, parts, context)
         u.__dict__["jump"] = Array(j, None)
         return u
 
@@ -144,11 +147,13 @@ class MatrixHyperviscosity:
         by_components = loads.reshape(self.dim, self.size, self.step.mesh.ne, self.h_values.local)
         return self.lift.test(by_components.swapaxes(1, 2).reshape(self.dim, -1))
 
-    def dissipated_on_sides(self, x: np.ndarray, z: np.ndarray, s: np.ndarray | None) -> dict[str, float]:
-        """Dissipation by the penalty, W, by the ledger's names, at x = (v, a) side by side and coefficients
-        of z and |Hs|^2."""
-        powers = self.term.dissipated_on_facets(self.sides.values(self.sides.jump(x), s, z))
-        return {name: float((self.sides.weights * power.value).sum()) for name, power in powers.items()}
+    def dissipated_on_sides(self, cells: slice, of: Mapping[str, np.ndarray]) -> dict[str, Array]:
+        """Dissipation by the penalty, W/m^2, by the ledger's names, at the points of some cells' sides.
+
+        The coefficients ``of`` v, a, z and |Hs|^2 are those of all cells."""
+        jumps = self.sides.jump.part(cells)(np.concatenate([of["v"], of["a"]], axis=1))
+        values = self.sides.values(jumps, of.get("hess_square"), of["z"], self.sides.op.part(cells))
+        return self.term.dissipated_on_facets(values)
 
     def __call__(self, v: np.ndarray, a: np.ndarray, z: np.ndarray) -> HyperValues:
         """Evaluate at coefficients of v, a (dim, .) and z; each may have an infinitesimal imaginary part."""

@@ -6,6 +6,8 @@ part.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ngvisco.forms.impulses import OnSides
@@ -26,22 +28,20 @@ def dissipated_on_sides(residual: ReducedResidual) -> dict[str, float]:
 
     Terms that read values which arrays do not have are left out."""
     c = residual.of_state(residual.facet_terms.names)
+    iterated = residual.unknowns.coefficients(residual.unknowns.pack()) | residual.of_state(["hess_square"])
 
     def totals(part: CellPart) -> dict[str, float]:
-        u, sums = part.sides.fields(c), dict[str, float]()
+        u, powers = part.sides.fields(c), dict[str, Any]()
         for term in residual.at_points:
             try:
                 of_term = term.dissipated_on_facets(u)
             except NotAtPointsError:
                 continue
-            for name, power in of_term.items():
-                sums[name] = float((part.sides.op.weights * power.value).sum())
-        return sums
+            powers |= of_term
+        if residual.hyper is not None:
+            powers |= residual.hyper.dissipated_on_sides(part.cells, iterated)
+        weights = part.sides.op.weights
+        return {name: float((weights * power.value).sum()) for name, power in powers.items()}
 
     parts = residual.share(totals, residual.parts)
-    if residual.hyper is not None:
-        c = residual.unknowns.coefficients(residual.unknowns.pack()) | residual.of_state(["hess_square"])
-        x = np.concatenate([c["v"], c["a"]], axis=1)
-        parts.append(residual.hyper.dissipated_on_sides(x, c["z"], c.get("hess_square")))
-    names = dict.fromkeys(name for sums in parts for name in sums)
-    return {name: residual.ranks.total(sum(sums.get(name, 0.0) for sums in parts)) for name in names}
+    return {name: residual.ranks.total(sum(sums[name] for sums in parts)) for name in parts[0]}
