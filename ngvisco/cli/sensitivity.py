@@ -96,7 +96,7 @@ def fit(options: argparse.Namespace) -> int:
 def _stoppable(
     compute: Callable[..., Computed], simulation: Simulation, *arguments: Any, **options: Any
 ) -> tuple[Computed | None, int]:
-    """The result of a function of a simulation, and the exit code; None if a signal stopped it."""
+    """Return a function's result for a simulation, None after a stop by a signal, and the exit code."""
     with Stopping(simulation.request_stop) as signals:
         try:
             return compute(simulation, *arguments, **options), DONE

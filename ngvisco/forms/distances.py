@@ -1,6 +1,6 @@
 """Signed distances from the bodies' outlines at the start, which the flow carries.
 
-    dt phi + (v . grad) phi = 0,     phi at the start the distance from the outline, m, > 0 in the body.
+    dt phi + (v . grad) phi = 0,     where phi starts as the distance from the outline, m, > 0 in the body.
 
 Distances are discontinuous P_k, with the velocity's order k.  Distances are carried with the mean velocity of
 the run's step by a scheme of order 3.  Distances have kinks in slots and at corners, and by the midpoint rule

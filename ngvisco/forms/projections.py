@@ -55,7 +55,7 @@ class LocalProjection:
 
 
 class FacetProjection:
-    """Mean over every facet of both sides' values, weighted by their shares; it is put into ``target``, a
+    """Puts the mean over each facet of both sides' values, weighted by their shares, into ``target``, a
     function of order 0."""
 
     def __init__(

@@ -326,7 +326,7 @@ _NO_CREEP = Words(None, " with a Network, whose branches have flow rules of thei
 
 
 def _faults(body: Body, bodies: Sequence[Body]) -> Iterable[tuple[str, str]]:
-    """Yield the faults of a body beside the others, as pairs of the key and the value that would be right."""
+    """Yield the faults of one body among ``bodies``, as pairs of a key and the right value."""
     material, law, heat = body.material, body.creep, body.heat
     if (broken := part_of(material, Damaged)) is not None:
         yield from _faults_of_damage(material, broken, bodies)

@@ -312,7 +312,7 @@ class Integrator:
     def _relaxed(
         self, scheme: TimeScheme, t: float, tau: float, history: list[Attempt], meets: bool
     ) -> StepTaken:
-        """A midpoint step that ends at u_0 + omega (U - u_0), omega near 2, where R = 0."""
+        """A midpoint step that ends at u_0 + omega (U - u_0), with the omega near 2 for which R = 0."""
         length = scheme.A[0][0] * tau
         for _ in range(_MEETINGS):
             # loads are averaged over the unrelaxed step, which has the length of two Rothe steps

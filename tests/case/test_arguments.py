@@ -89,7 +89,7 @@ def hot_bodies(heat):
 
 
 def carried(mean="arithmetic", **options):
-    """G = 1 + theta, theta from 1 to 2, a step."""
+    """A step with the modulus G = 1 + theta, where theta grows from 1 to 2 along x."""
     theta = nv.Parameter(**{"name": "theta", "start": 1 + x, "mean": mean} | options)
     return left_by(material=nv.LinearElastic(K_e=10.0, G_e=1.0 + theta))
 

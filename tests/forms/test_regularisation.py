@@ -218,7 +218,7 @@ def test_cut_off_s_flow_is_a_rising_and_a_falling_part(rho_max, width):
 
 @pytest.mark.parametrize("flow", [1.0, -1.0])
 def test_the_trace_of_a_cut_off_density_has_one_upstream_side_a_facet(flow):
-    """Two triangles with m = 0 have a facet along which the flow through it changes its sign."""
+    """The flow through the facet between two triangles (m = 0) changes its sign along the facet."""
     law, at = Regularisation(rho_max=1.1, width=0.3), POINTS(0.5, 0.5)
     model = nv.Model(material=MATERIALS["linear"], regularisation=law)
     step = Step(box((1, 1), maxh=2.0), model, nv.Discretisation(m=0))

@@ -20,7 +20,7 @@ LINEAR = {
 
 
 def stretched(solid, size, dim=2):
-    """A disc in a fluid, to whose tensors linear polynomials without a mean are added, in all cells."""
+    """A disc in a fluid; in all cells, linear polynomials of mean zero are added to the tensors."""
     bodies = (
         nv.Body(name="disc", where=nv.Ball((0.5,) * dim, 0.35), material=solid, density=1.0),
         nv.Body(name="rest", material=FLUID, density=1.0),

@@ -52,7 +52,7 @@ class Relaxation(PointTerm):
 
 
 class Pores(Relaxation):
-    """A pore pressure that drives the flow and is driven by it, and seeps."""
+    """A pore pressure that seeps, drives the flow, and is changed by the flow."""
 
     def cells(self, u, w):
         p, q, dp, dq = u.parts["theta"], w.parts["theta"], u.gradient("theta"), w.gradient("theta")

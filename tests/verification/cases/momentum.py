@@ -100,7 +100,7 @@ THROWN = {
 
 
 def change_of_momentum(body: Thrown) -> tuple[nv.Simulation, float]:
-    """A run, and the change of its momentum over ∫ρ|v| and the sound impulse."""
+    """A run, and the change of its momentum relative to ∫ρ|v| plus the sound impulse."""
     made, start = body.make(), dict(body.start)
     if "material" in made:
         made["viscosity"], start["density"] = stokes(0.05), DENSITY
