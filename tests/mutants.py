@@ -985,6 +985,15 @@ MUTANTS = [
         ),
     ),
     *_of(
+        "forms/cut_strains.py",
+        (
+            "energy of restored determinants",
+            "share = min(1.0, falls / rises)",
+            "share = min(1.0, 1.0)",
+            SHARP + "test_determinants_are_restored_and_the_energy_does_not_rise",
+        ),
+    ),
+    *_of(
         "forms/sharpening.py",
         (
             "bounds of fractions in cells with three bodies",

@@ -1,10 +1,10 @@
 """Conservative sharpening of interfaces between bodies at the end of a step, which keeps their width.
 
 Transport smears a jump of the amounts n_i over more and more cells. After each step
-(``Discretisation.sharp``) two moves separate bodies i and j in cells that contain no other body. There are no
-planes in cells with more bodies, nor in cells that an interface passes in one step, which are lower than the
-strips swept through them. In cells with more bodies negative means are filled up too, and one factor for all
-slopes brings fractions into [0, 1].
+(``Discretisation.sharp``) two moves separate bodies i and j in cells that contain no other body, and a third
+move restores determinants. There are no planes in cells with more bodies, nor in cells that an interface
+passes in one step, which are lower than the strips swept through them. In cells with more bodies negative
+means are filled up too, and one factor for all slopes brings fractions into [0, 1].
 
 1. *Between cells.*  The step has carried the amounts F_i, F_j out of a cell through a facet.  At the start
    of the step a plane bounds body i in this cell; the share s of the strip that was swept through the facet
@@ -17,8 +17,10 @@ slopes brings fractions into [0, 1].
    X/n of its cell. Transport may leave cells with negative means: neighbours give such a cell the missing
    amount of the body, and take the cell's X/n in exchange.
 2. *In a cell* n_i becomes its mean plus the slope of the projected indicator of body i's part, scaled so
-   that theta_i is in [0, 1]; n_j becomes the rest of n_i + n_j, and X becomes n times the quotient X/n of
-   the means.
+   that theta_i is in [0, 1]; n_j becomes the rest of n_i + n_j, and X becomes n B.  B has the slopes
+   of the quotient X/n that the step has carried, projected with the weight n, and the mean that keeps int X.
+3. *Determinants.*  At corners of cells det B gets the value that follows from N.  Where det B was too small,
+   the same share of the change is made everywhere, with which the sum of the energies does not rise.
 
 The normal of the plane that bounds body i in a cell is the slope of theta_i averaged at the vertices; the
 plane cuts off the mean of theta_i from the cell.  The strip is a prism between the facet and its place
@@ -26,12 +28,12 @@ before the step.  About an axis shares are those of volumes, with the weight r. 
 ``Discretisation.outlines`` level lines of a carried distance take the place of planes
 (``ngvisco.forms.level_lines``); the exchanges and their integrals stay.
 
-The moves keep N at every point, and int n_i and int X_i. The moves therefore keep masses and sum theta = 1,
-and, since bodies have one density, rho and momentum. A common volumetric energy depends on N alone. If f is
-linear in X, n f(X/n) = C : (X - n I), and its integral depends on the integrals of n and X alone: the stored
-energy is kept to rounding, and the step's identity holds. With a nonlinear f of degree one in (n, X) energy
-would be lost; moreover the f of bodies have this degree only up to traces of matter. Therefore nonlinear f
-are refused.
+The moves keep N at every point, int n_i and, but for the third, int X_i. The moves therefore keep masses and
+sum theta = 1, and, since bodies have one density, rho and momentum. A common volumetric energy depends on N
+alone. If f is linear in X, n f(X/n) = C : (X - n I), and its integral depends on the integrals of n and X
+alone: the third move lowers the stored energy, the others keep it to rounding, and the step's identity holds.
+With a nonlinear f of degree one in (n, X) energy would be lost; moreover the f of bodies have this degree
+only up to traces of matter. Therefore nonlinear f are refused.
 """
 
 from __future__ import annotations
@@ -56,6 +58,7 @@ from ngsolve import (
 
 from ngvisco.errors import InputWarning
 from ngvisco.forms.cut_simplices import before, level, share_above
+from ngvisco.forms.cut_strains import LEAST, Determinants, quotients
 from ngvisco.forms.level_lines import CarriedDistances, LevelLines
 from ngvisco.forms.mesh.mesh_arrays import VERTICES
 from ngvisco.forms.mesh.quadrature import compiled
@@ -68,8 +71,6 @@ from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.tensors import if_positive
 from ngvisco.words import Mention, Words
 
-_LEAST = 1e-3
-"""Fraction below which a cell does not contain a body."""
 _PASSES = 2
 """Number of exchanges between cells; the second exchange starts from the amounts that the first has moved."""
 _PLANES = 2
@@ -105,6 +106,7 @@ class Sharpening:
         self._basis, self._functions, self._inverse, self._masses = self._of_cells()
         self._mass = self._masses.sum(axis=1)
         self._ranks = Communicator.of(self.mesh)
+        self._determinants = Determinants(step.layout, material, self._ranks)
         around = Surroundings(self.mesh, self._x, bool(step.walls.periodic), self._ranks)
         self._vertices, self._facets, self._sides = around.vertices, around.facets, around.sides
         self._shared, self._halo, self._at_border = around.shared, around.halo, around.at_border
@@ -130,7 +132,8 @@ class Sharpening:
 
     def begin(self) -> None:
         """Begin a step, or repeat it, from the present state."""
-        self._start, self.swept = self._values(), 0.0
+        self._start = self._carried = self._values()
+        self.swept = 0.0
         shape = self._x.shape
         self._flux, self._velocity = np.zeros((len(self._amounts), *shape[:2])), np.zeros(shape)
 
@@ -157,6 +160,7 @@ class Sharpening:
     def put_apart(self, tau: float) -> None:
         """Separate bodies of the present state at the end of a step of length ``tau``, s."""
         u, self._tau = self._values(), tau
+        self._carried = u.copy()
         if self._distances is not None:
             self._distances.carry(tau)
         count, is_apart = len(self._amounts), np.zeros(len(self._mass), dtype=bool)
@@ -175,6 +179,7 @@ class Sharpening:
             is_apart[self._within(u, i, j, pair)] = True
         if count > 2 or is_passed.any():
             self._bound(u, np.flatnonzero(~is_apart))
+        self._determinants.restore(u, self._masses)
         self._state()[:, self._basis] = np.einsum("kfc,skc->skf", self._inverse, u)
 
     def _state(self) -> np.ndarray:
@@ -193,7 +198,7 @@ class Sharpening:
     def _is_pair(self, u: np.ndarray, i: int, j: int) -> np.ndarray:
         """Mask of cells with no other bodies than i and j, (cells,)."""
         amounts = self._means(u[self._amounts])
-        return np.asarray(amounts[[i, j]].sum(axis=0) > (1 - _LEAST) * amounts.sum(axis=0))
+        return np.asarray(amounts[[i, j]].sum(axis=0) > (1 - LEAST) * amounts.sum(axis=0))
 
     def _averaged(self, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """Values at corners of cells, (cells, corners), averaged over the corners at each vertex."""
@@ -218,7 +223,7 @@ class Sharpening:
             height = np.where(is_cut[:, None], self._averaged(values, is_cut * self._volumes), height)
             has_slope = np.ptp(height, axis=1) > NO_INTERFACE
             height = np.where(has_slope[:, None], height - level(height, theta, self._radii)[:, None], 0.0)
-            is_cut = has_slope & (np.minimum(theta, 1 - theta) > _LEAST)
+            is_cut = has_slope & (np.minimum(theta, 1 - theta) > LEAST)
             size = np.linalg.norm(np.einsum("kc,kcd->kd", height, self._slopes), axis=1) * self._longest
             values = height / np.where(is_cut, size, 1.0)[:, None]
         return height
@@ -279,7 +284,7 @@ class Sharpening:
     def _lines(self, theta: np.ndarray, i: int, j: int, at_start: bool) -> tuple[LevelLines, np.ndarray]:
         """Outlines of body i beside body j in cells with the fractions ``theta``, and the numbers of these
         cells."""
-        cut = np.flatnonzero(np.minimum(theta, 1 - theta) > _LEAST)
+        cut = np.flatnonzero(np.minimum(theta, 1 - theta) > LEAST)
         upper, sign = (i, 1.0) if self._layers[i] > self._layers[j] else (j, -1.0)
         assert self._distances is not None
         phi = self._distances.of(self._names[upper], at_start)
@@ -405,8 +410,12 @@ class Sharpening:
         for n, contents, amounts in zip(self._amounts, self._contents, even + deviation, strict=True):
             u[n, cells] = amounts
             some = means[n] > NO_INTERFACE * size  # avoids quotients of two rounding errors
-            for component in contents:
-                u[component, cells[some]] = amounts[some] * (means[component, some] / means[n, some])[:, None]
+            if contents and some.any():
+                weights = self._masses[cells[some]] * amounts[some] / self._mass[cells[some], None]
+                carried = self._carried[:, cells[some]]
+                B = quotients(carried[n], carried[contents], carried[self._amounts].sum(axis=0).mean(axis=1))
+                B += ((means[contents][:, some] - (B * weights).sum(axis=2)) / means[n, some])[..., None]
+                u[np.ix_(contents, cells[some])] = amounts[some] * B
 
     # --- arrays of cells, vertices and facets -----------------------------------------------------------
 

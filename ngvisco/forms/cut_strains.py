@@ -1,0 +1,81 @@
+"""Tensors of bodies in cells that interfaces cut: their slopes, and determinants that follow from the volume.
+
+By the rates det B = J^p, since tr Pi = 0, and J = 1/N.  The mean of the tensors of unequally strained matter
+has a larger determinant, and no flow takes this mean back to I: strain would stay in a body that has none.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import factorial
+
+from ngvisco.forms.spaces import Layout
+from ngvisco.parallel.communicator import Communicator
+from ngvisco.physics.bodies import AMOUNT
+from ngvisco.physics.mixture import Mixture
+from ngvisco.physics.tensors import IDENTITY
+
+LEAST = 1e-3
+"""Fraction below which a cell does not contain a body."""
+_LEAST_DET = 0.05
+"""Least determinant of a tensor that is restored wholly, over its right value."""
+
+
+def quotients(amount: np.ndarray, X: np.ndarray, total: np.ndarray) -> np.ndarray:
+    """Linear B, values at corners of cells, (components, cells, corners): X/n projected with the weight n.
+
+    ``amount`` has the values of n, (cells, corners), and ``X`` those of its tensors. Where n vanishes, a
+    trace of the mean amount of all matter, ``total``, (cells,), with the mean of X/n bounds B.
+    """
+    trace, one = LEAST * total, np.eye(amount.shape[1])
+    amount = np.maximum(amount, 0.0) + trace[:, None]
+    X = X + (trace / amount.mean(axis=1) * X.mean(axis=2))[..., None]
+    powers = one[:, None] + one, one[:, None, None] + one[:, None] + one
+    pairs, triples = (np.prod(factorial(of), axis=-1) for of in powers)  # integrals of products of lambda
+    matrices = np.einsum("kc,abc->kab", amount, triples) / (len(one) + 2)
+    return np.asarray(np.linalg.solve(matrices, np.einsum("skb,ab->kas", X, pairs)).transpose(2, 0, 1))
+
+
+class Determinants:
+    """Restores det B of bodies with linear energies, without a rise of the stored energy."""
+
+    def __init__(self, layout: Layout, material: Mixture, ranks: Communicator) -> None:
+        slices, spaces = layout.states.slices, layout.states.spaces
+        names = [body.name for body in material.bodies]
+        self._amounts = [slices[AMOUNT + name].start for name in names]
+        self._tensors = [
+            [
+                (slices[X.name], spaces[X.name].columns, ratio[1] + 3)
+                for X in material.contents(name)
+                if (ratio := X.tensor.volume_ratio(IDENTITY)) is not None
+            ]
+            for name in names
+        ]
+        """Components of each X_i, their basis, and the power p of det B = J^p."""
+        self._strained = 3 if layout.symmetry.is_axisymmetric else layout.states.dim
+        """Number of directions in which matter is strained; the third is not in plane strain."""
+        self._is_uniform = not material.parameters
+        """Whether the energies have the same moduli everywhere."""
+        self._ranks = ranks
+
+    def restore(self, u: np.ndarray, masses: np.ndarray) -> None:
+        """Bring det B to its value in place, for values ``u`` at corners, (components, cells, corners), with
+        the integrals ``masses``, (cells, corners).
+
+        Where det B is too small, a share of the change is made, with which the energy does not rise.
+        """
+        total, d = u[self._amounts].sum(axis=0), self._strained
+        for n, tensors in zip(self._amounts, self._tensors, strict=True):
+            cell, corner = np.nonzero(u[n] > LEAST * total)
+            amount, density = u[n, cell, corner], total[cell, corner]
+            for where, columns, power in tensors:
+                B = (columns @ u[where, cell, corner] / amount).T.reshape(-1, 3, 3)
+                excess = np.linalg.det(B) * density**power
+                is_sound = np.linalg.eigvalsh(B)[:, 0] > 0
+                change = np.where(is_sound, np.maximum(excess, _LEAST_DET) ** (-1 / d), 1.0) - 1
+                energies = np.trace(B[:, :d, :d], axis1=1, axis2=2) * amount * masses[cell, corner] * change
+                falls = -self._ranks.total(energies[change < 0].sum())
+                rises = self._ranks.total(energies[change > 0].sum())
+                share = min(1.0, falls / rises) if rises > 0 and self._is_uniform else 0.0
+                B[:, :d, :d] *= (1 + np.where(change > 0, share, 1.0) * change)[:, None, None]
+                u[where, cell, corner] = columns.T @ B.reshape(-1, 9).T * amount
