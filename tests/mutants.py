@@ -992,6 +992,12 @@ MUTANTS = [
             "share = min(1.0, 1.0)",
             SHARP + "test_determinants_are_restored_and_the_energy_does_not_rise",
         ),
+        (
+            "power of the volume in restored determinants",
+            "* density**power",
+            "* density ** (power + 1)",
+            SHARP + "test_determinants_follow_from_the_volume",
+        ),
     ),
     *_of(
         "forms/sharpening.py",

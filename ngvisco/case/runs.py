@@ -68,8 +68,9 @@ def run(
     # every fault of the case is found here, before anything is written or removed
     notes = [f"run: {case.sections.title or case.source}"]
     with _noting_warnings(notes.append):
-        image = ranks.on_first(lambda: mesh_image(case.mesh()))
-        simulation = case.simulation(_mesh_of_first(case, ranks, lambda: mesh_of(image)))
+        images: list[bytes] = []  # on the first rank
+        ranks.on_first(lambda: images.append(mesh_image(case.mesh())))
+        simulation = case.simulation(_mesh_of_first(case, ranks, lambda: mesh_of(images[0])))
     origin: dict[str, Any] | None = None
     if source is not None:
         with _naming_source():
@@ -82,7 +83,7 @@ def run(
         if not force:
             place.refuse_results()
         place.clear()
-        place.prepare(case, image, origin)
+        place.prepare(case, images[0], origin)
 
     with ranks.held_by_first(place.locked()):
         ranks.on_first(begin)

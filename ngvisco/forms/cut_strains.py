@@ -1,4 +1,4 @@
-"""Tensors of bodies in cells that interfaces cut: their slopes, and determinants that follow from the volume.
+"""Tensors of bodies with sharp interfaces: slopes in cut cells, and determinants that follow from the volume.
 
 By the rates det B = J^p, since tr Pi = 0, and J = 1/N.  The mean of the tensors of unequally strained matter
 has a larger determinant, and no flow takes this mean back to I: strain would stay in a body that has none.
@@ -37,7 +37,7 @@ def quotients(amount: np.ndarray, X: np.ndarray, total: np.ndarray) -> np.ndarra
 
 
 class Determinants:
-    """Restores det B of bodies with linear energies, without a rise of the stored energy."""
+    """Restores det B of bodies with linear energies in all cells, without a rise of the stored energy."""
 
     def __init__(self, layout: Layout, material: Mixture, ranks: Communicator) -> None:
         slices, spaces = layout.states.slices, layout.states.spaces
@@ -66,7 +66,7 @@ class Determinants:
         """
         total, d = u[self._amounts].sum(axis=0), self._strained
         for n, tensors in zip(self._amounts, self._tensors, strict=True):
-            cell, corner = np.nonzero(u[n] > LEAST * total)
+            cell, corner = np.nonzero((u[n] > LEAST * total) & (total > 0))
             amount, density = u[n, cell, corner], total[cell, corner]
             for where, columns, power in tensors:
                 B = (columns @ u[where, cell, corner] / amount).T.reshape(-1, 3, 3)

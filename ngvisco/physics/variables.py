@@ -309,7 +309,7 @@ class Jacobian(Variable):
 
 @dataclass(frozen=True)
 class PerVolume(Variable):
-    """An amount y per actual volume that no distortion determines: dy/dt = -(tr L) y; zero at the start."""
+    """An amount y per actual volume: dy/dt = -(tr L) y; by default zero at the start."""
 
     name: str
     kind: str = "scalar"

@@ -254,7 +254,7 @@ class FixedStepper:
         """Raise ParameterError when ``time`` cannot be met exactly."""
         covered = time - self._start
         number = round(covered / self.dt)
-        if not math.isclose(number * self.dt, covered, rel_tol=1e-9, abs_tol=1e-12 * time):
+        if not math.isclose(number * self.dt, covered, rel_tol=1e-9, abs_tol=1e-12 * abs(time)):
             after = f" after t = {self._start:g} s" if self._start else ""
             raise ParameterError(name, time, f"a multiple of dt = {self.dt:g}{after}")
 

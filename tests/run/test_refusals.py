@@ -315,7 +315,7 @@ start(values={"J": _}) | -1 | projected J_0 | > 0
 start(values={"J": _}) | nan | material variables | finite
 start(velocity=_) | (NAN_HALF, 0), | |v_0|^2 | finite
 start(Model(material=_)) | without_energy() | stored energy | finite
-start(DISC_IN_BOX, values={"B_disc": _}) | Id(3) | B_disc_0 | times the body's share
+start(DISC_IN_BOX, values={"B_disc": _}) | Id(3) | B_disc_0 | times the body's amount
 """
 
 
@@ -333,6 +333,16 @@ def test_tensor_of_a_body_may_be_given_where_the_body_is():
     given = simulation(DISC_IN_BOX, initial=nv.Initial(values={"B_disc": share * Id(3)}))
     default = simulation(DISC_IN_BOX)
     assert np.allclose(given.rothe_step.state.vec.FV(), default.rothe_step.state.vec.FV(), atol=1e-12)
+
+
+def test_sharp_interfaces_refuse_a_tensor_whose_determinant_they_would_change():
+    share, _ = fractions(simulation().mesh, [DISC], 1)
+    tensors = [share * CF((2, 0, 0, 0, 0.5, 0, 0, 0, 1), dims=(3, 3)), 1.1 * share * Id(3)]
+    starts = [nv.Initial(values={"B_disc": tensor}) for tensor in tensors]
+    sharp = {"discretisation": nv.Discretisation(m=1, sharp=True)}
+    simulation(DISC_IN_BOX, initial=starts[0], **sharp)
+    with pytest.raises(nv.InitialDataError, match=r"initial B_disc_0: .* determinant that follows from F"):
+        simulation(DISC_IN_BOX, initial=starts[1], **sharp)
 
 
 @pytest.mark.parametrize(("name", "nearest"), [("dtt", "dt"), ("observer", "observers"), ("wals", "walls")])

@@ -5,7 +5,7 @@ from functools import reduce
 from operator import add
 
 import numpy as np
-from ngsolve import CF, VOL, CoefficientFunction, ElementId, Integrate, Mesh
+from ngsolve import CF, VOL, CoefficientFunction, Det, ElementId, Integrate, Mesh
 
 from ngvisco.errors import InitialDataError, ParameterError
 from ngvisco.forms.given_values import Given, StartValues, as_shape
@@ -23,6 +23,8 @@ _OVERLAP = 1e-3
 """The overlap, over the volume of the smaller of two bodies, below which the bodies only touch."""
 _COVERED = 1e-10
 """The share of the volume of the domain or of a cell below which uncovered volume is rounding."""
+_OFF = 1e-4
+"""Largest difference of a given tensor's determinant from its right value, over the largest right value."""
 
 
 def starting_fractions(mesh: Mesh, bodies: Sequence[Body], order: int) -> StartValues:
@@ -67,18 +69,26 @@ def starting_fractions(mesh: Mesh, bodies: Sequence[Body], order: int) -> StartV
 
 
 def require_bodies(
-    step: Step, material: Mixture, shares: StartValues, given: Given, sampler: Sampler
+    step: Step, material: Mixture, shares: StartValues, filled: StartValues, given: Given, sampler: Sampler
 ) -> None:
-    """Raise InitialDataError for the ``given`` tensor of a body in cells without the body."""
+    """Raise InitialDataError for the ``given`` tensor of a body in cells without the body, and with sharp
+    interfaces for one whose determinant is not that of the tensor ``filled`` from F."""
     of_cells, bodies = step.quadrature.each_cell, {X.name: n for n in shares for X in material.contents(n)}
     for name in bodies.keys() & given.keys():
         field = f"Initial.values[{name!r}]"
-        sizes = of_cells(square(as_shape(field, given[name], (3, 3))))
+        tensor = as_shape(field, given[name], (3, 3))
+        sizes = of_cells(square(tensor))
         absent = of_cells(shares[bodies[name]]) <= TRACE * of_cells(CF(1.0))
         if sampler.ranks.most(absent * sizes) > TRACE * sampler.ranks.most(sizes):
-            expected = "the body's tensor times the body's share of the volume, which is 0 without the body"
+            expected = "the body's tensor times the body's amount, which is 0 without the body"
             value = f"the value is not 0 in cells without the body {bodies[name]!r}"
             raise InitialDataError(f"{name}_0", value, expected, field)
+        if step.layout.discretisation.sharp:
+            determinant = Det(filled[name])
+            off, sizes = of_cells(square(Det(tensor) - determinant)), of_cells(square(determinant))
+            if sampler.ranks.most(off) > _OFF**2 * sampler.ranks.most(sizes):
+                expected = "a tensor with the determinant that follows from F, which sharp interfaces restore"
+                raise InitialDataError(f"{name}_0", "the value has another determinant", expected, field)
 
 
 def _require_some_body_in_each_cell(mesh: Mesh, names: Sequence[str], remainder: CoefficientFunction) -> None:

@@ -85,7 +85,7 @@ class Initial:
     values : mapping of names to coefficient functions, optional
         Initial values by name: values of variables of the material, which replace the values that follow
         from F, and of further terms' evolving unknowns, which are zero by default.  The value of a body's
-        tensor is the tensor times the body's share of the volume.
+        tensor is the tensor times the body's amount, which is its share of the volume over det F.
     """
 
     density: Annotated[ScalarLike | None, Quantity("kg/m^3", "> 0", 1.0)] = None
@@ -291,8 +291,9 @@ def _of_bodies(
         raise ParameterError("Initial.density", initial.density, None, ", since each body has a density")
     for name in sorted(set(initial.values) & {AMOUNT + name for name in shares}):
         raise ParameterError("Initial.values", name, "no amounts, since the bodies' places give them")
-    require_bodies(step, material, shares, initial.values, sampler)
-    return {name: v for name, v in material.filled(shares, distortions).items() if name not in initial.values}
+    filled = material.filled(shares, distortions)
+    require_bodies(step, material, shares, filled, initial.values, sampler)
+    return {name: value for name, value in filled.items() if name not in initial.values}
 
 
 def _check_moduli(step: Step, told: StartValues, parameters: Given, sampler: Sampler) -> None:
