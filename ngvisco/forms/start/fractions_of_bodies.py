@@ -68,11 +68,15 @@ def starting_fractions(mesh: Mesh, bodies: Sequence[Body], order: int) -> StartV
     return {name: result[name] for name in names}
 
 
-def require_bodies(
-    step: Step, material: Mixture, shares: StartValues, filled: StartValues, given: Given, sampler: Sampler
-) -> None:
-    """Raise InitialDataError for the ``given`` tensor of a body in cells without the body, and with sharp
-    interfaces for one whose determinant is not that of the tensor ``filled`` from F."""
+def values_of_bodies(
+    step: Step, material: Mixture, shares: StartValues, distortions: Given, given: Given, sampler: Sampler
+) -> StartValues:
+    """Amounts and tensors of bodies that follow from ``distortions``, without those that are ``given``.
+
+    Raises InitialDataError for a given tensor in cells without its body, and with sharp interfaces for one
+    whose determinant does not follow from the distortion.
+    """
+    filled = material.filled(shares, distortions)
     of_cells, bodies = step.quadrature.each_cell, {X.name: n for n in shares for X in material.contents(n)}
     for name in bodies.keys() & given.keys():
         field = f"Initial.values[{name!r}]"
@@ -89,6 +93,7 @@ def require_bodies(
             if sampler.ranks.most(off) > _OFF**2 * sampler.ranks.most(sizes):
                 expected = "a tensor with the determinant that follows from F, which sharp interfaces restore"
                 raise InitialDataError(f"{name}_0", "the value has another determinant", expected, field)
+    return {name: value for name, value in filled.items() if name not in given}
 
 
 def _require_some_body_in_each_cell(mesh: Mesh, names: Sequence[str], remainder: CoefficientFunction) -> None:

@@ -28,7 +28,7 @@ from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.projections import LocalProjection, project, set_traces
 from ngvisco.forms.start.data_checks import distortion_of, warn_of_doubts, warn_of_own_energy
 from ngvisco.forms.start.equilibrium import Column, require_open
-from ngvisco.forms.start.fractions_of_bodies import require_bodies, starting_fractions
+from ngvisco.forms.start.fractions_of_bodies import starting_fractions, values_of_bodies
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand, tested
 from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
@@ -291,9 +291,7 @@ def _of_bodies(
         raise ParameterError("Initial.density", initial.density, None, ", since each body has a density")
     for name in sorted(set(initial.values) & {AMOUNT + name for name in shares}):
         raise ParameterError("Initial.values", name, "no amounts, since the bodies' places give them")
-    filled = material.filled(shares, distortions)
-    require_bodies(step, material, shares, filled, initial.values, sampler)
-    return {name: value for name, value in filled.items() if name not in initial.values}
+    return values_of_bodies(step, material, shares, distortions, initial.values, sampler)
 
 
 def _check_moduli(step: Step, told: StartValues, parameters: Given, sampler: Sampler) -> None:
