@@ -133,6 +133,8 @@ def assert_same_ledger(one, several, spare=0):
             size = 1.0 if name.startswith("defect_") else size  # differences of determinants about one
             if "momentum" in name or name.startswith("impulse_"):  # exact relative to the momentum
                 size = max(size, row["momentum_size"])
+            if name == "limiter":  # a difference of stored energies
+                size = max(size, energy)
             if name == "dissipation_creep":  # along the slopes of fractions, whose directions lose digits
                 size = max(size, row["stored"])
             if name == "dissipation_upwinding":  # a square of jumps, which are as exact as the fields
