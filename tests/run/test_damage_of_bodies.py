@@ -201,7 +201,7 @@ def test_what_a_body_that_breaks_does_not_take_is_refused_by_name(law, match):
 
 def test_heat_beside_damage_and_constants_in_cells_are_refused():
     warm = nv.Thermal(material=fluid(), c=1.0, theta_R=300.0)
-    with pytest.raises(nv.ParameterError, match=r"bodies\['disc'\].material.*some bodies have heat"):
+    with pytest.raises(nv.ParameterError, match=r"bodies\['disc'\].material.*no damage beside heat"):
         nv.Model(bodies=bodies(beside=warm))
     with pytest.raises(nv.ParameterError, match=r"Discretisation.m = 0: expected 1 with damage"):
         nv.Simulation(
