@@ -13,7 +13,6 @@ from ngvisco.forms.spaces import Layout
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.bodies import AMOUNT
 from ngvisco.physics.mixture import Mixture
-from ngvisco.physics.tensors import IDENTITY
 
 LEAST = 1e-3
 """Fraction below which a cell does not contain a body."""
@@ -45,9 +44,9 @@ class Determinants:
         self._amounts = [slices[AMOUNT + name].start for name in names]
         self._tensors = [
             [
-                (slices[X.name], spaces[X.name].columns, ratio[1] + 3)
+                (slices[X.name], spaces[X.name].columns, X.power)
                 for X in material.contents(name)
-                if (ratio := X.tensor.volume_ratio(IDENTITY)) is not None
+                if X.power is not None
             ]
             for name in names
         ]

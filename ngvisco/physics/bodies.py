@@ -20,7 +20,7 @@ from ngvisco.physics.heat import Heat
 from ngvisco.physics.material import Material, part_of
 from ngvisco.physics.materials.network import Network
 from ngvisco.physics.rheology import Viscosity
-from ngvisco.physics.tensors import Tensor, if_positive, sqrt
+from ngvisco.physics.tensors import IDENTITY, Tensor, if_positive, sqrt
 from ngvisco.physics.variables import CreepFrame, PerVolume, Values, Variable
 
 NO_INTERFACE = 1e-6
@@ -105,6 +105,12 @@ class Content(Variable):
     @property
     def frame(self) -> CreepFrame | None:
         return self.tensor.frame
+
+    @property
+    def power(self) -> float | None:
+        """p of det B = J^p for matter that does not creep with a trace; None for a scalar B."""
+        ratio = self.tensor.volume_ratio(IDENTITY)
+        return None if ratio is None else ratio[1] + 3
 
     def turned(self, value: Tensor, Q: Tensor) -> Tensor:
         return self.tensor.turned(value, Q)

@@ -188,9 +188,9 @@ def gradient(
         raise ParameterError("method", method, " or ".join(map(repr, METHODS)))
     if order not in OFFSETS:
         raise ParameterError("order", order, "4 or 2")
-    numbers = _numbers(of, until, simulation)
+    numbers = numbers_of(of, until, simulation)
     parameters = _parameters(by, simulation, method)
-    base, is_start = _base(simulation, numbers.columns), simulation.number == 0
+    base, is_start = follower_of(simulation, numbers.columns), simulation.number == 0
     if not is_start and any(parameter.is_of_start for parameter in parameters):
         expected = "no start values, since the run has begun"
         raise ParameterError("by", by, expected)
@@ -231,11 +231,14 @@ def gradient(
 
 
 @computing()
-def _numbers(of: Sequence[str] | Mapping[str, str | Misfit], until: float, simulation: Simulation) -> Numbers:
+def numbers_of(
+    of: Sequence[str] | Mapping[str, str | Misfit], until: float, simulation: Simulation
+) -> Numbers:
+    """The numbers asked for, with the columns of which they are made."""
     return Numbers.of(of, until, simulation.t, simulation.ledger.momentum.balances)
 
 
-def _base(simulation: Simulation, names: Sequence[str]) -> Follower:
+def follower_of(simulation: Simulation, names: Sequence[str]) -> Follower:
     """A follower with the run's parameters."""
     worker = varied(simulation, {})
     return Follower(worker, Columns(worker, names, tables_of(simulation)))

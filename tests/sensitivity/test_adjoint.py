@@ -11,7 +11,7 @@ from support import by_ci
 import ngvisco as nv
 from ngvisco.geometries import disc, structured_box
 from ngvisco.sensitivity.adjoint import Adjoint
-from ngvisco.sensitivity.gradient import _base, _numbers
+from ngvisco.sensitivity.gradient import follower_of, numbers_of
 from ngvisco.sensitivity.slopes import Slopes
 from ngvisco.sensitivity.starts import Starts
 from ngvisco.sensitivity.tangent import Neighbours, history, tangents
@@ -33,8 +33,8 @@ def test_adjoint_and_tangent_agree(scheme):
 def directional(make, scheme, of, size=1.0, block=None, seed=0):
     """The derivative along a random change of the start, or of one block of it, by tangent and adjoint."""
     simulation = make(scheme=scheme)
-    numbers = _numbers(of, UNTIL, simulation)
-    base, trajectory = _base(simulation, numbers.columns), Trajectory(simulation)
+    numbers = numbers_of(of, UNTIL, simulation)
+    base, trajectory = follower_of(simulation, numbers.columns), Trajectory(simulation)
     slopes = Slopes(base)
     one = Neighbours(Still(), make(scheme=scheme), base.columns)
     trajectory.run(UNTIL)

@@ -19,6 +19,7 @@ from ngsolve import (
     Mesh,
     NodeId,
     Projector,
+    Region,
     dx,
     specialcf,
 )
@@ -42,6 +43,12 @@ _KINDS = {1: (ET.SEGM,), 2: (ET.TRIG, ET.QUAD), 3: (ET.TET, ET.PRISM, ET.PYRAMID
 def rules(dim: int, degree: int) -> dict[ET, IntegrationRule]:
     """Rules of one degree for all types of cells, or facets, of dimension ``dim``."""
     return {et: IntegrationRule(et, degree) for et in _KINDS[dim]}
+
+
+def values_on(wall: Region, function: CoefficientFunction, degree: int) -> np.ndarray:
+    """Values of a function at the points of a rule on a wall, (points, components)."""
+    points = wall.mesh.MapToAllElements(rules(wall.mesh.dim - 1, degree), wall)
+    return np.asarray(function(points))
 
 
 SIMPLICES = (10, 12, 20, 21)

@@ -33,8 +33,9 @@ from ngvisco.errors import InputWarning, ParameterError
 from ngvisco.forms.boundary.wall_terms import Carried
 from ngvisco.forms.boundary.walls import OPEN, velocity_of
 from ngvisco.forms.given_values import Given
-from ngvisco.forms.mesh.mesh_arrays import VERTICES, mask_of, rules
+from ngvisco.forms.mesh.mesh_arrays import VERTICES, mask_of, values_on
 from ngvisco.forms.mesh.quadrature import Sampler
+from ngvisco.forms.start.fractions_of_bodies import check_incoming_tensors
 from ngvisco.forms.start.stresses_at_rest import on_open_walls, where_bodies_meet
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
@@ -153,6 +154,8 @@ def _check_incoming(step: Step, term: Carried, t: float) -> None:
     for where, of_field in positive.items():
         for name, function in of_field.items():
             _look(step, term.name, function, where, t, "> 0", name)
+    if isinstance(material, Mixture) and step.layout.discretisation.sharp:
+        check_incoming_tensors(step, material, term)
 
 
 def _look(
@@ -166,8 +169,7 @@ def _look(
     value: object = None,
 ) -> None:
     """Raise ParameterError unless a function is finite and has its sign on a wall at the time ``t``."""
-    points = step.mesh.MapToAllElements(rules(step.mesh.dim - 1, _DEGREE), step.walls.region([wall]))
-    values = np.asarray(function(points))
+    values = values_on(step.walls.region([wall]), function, _DEGREE)
     ranks = Communicator.of(step.mesh)
     if not ranks.all(np.isfinite(values).all()):
         expected = f"finite values; at t = {t:g} s the value is not finite on the wall"

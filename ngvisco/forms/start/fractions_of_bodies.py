@@ -8,11 +8,13 @@ import numpy as np
 from ngsolve import CF, VOL, CoefficientFunction, Det, ElementId, Integrate, Mesh
 
 from ngvisco.errors import InitialDataError, ParameterError
+from ngvisco.forms.boundary.wall_terms import Carried
 from ngvisco.forms.given_values import Given, StartValues, as_shape
+from ngvisco.forms.mesh.mesh_arrays import values_on
 from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
-from ngvisco.physics.bodies import TRACE, Body
+from ngvisco.physics.bodies import AMOUNT, TRACE, Body
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.tensors import square
 from ngvisco.shapes.fractions import MISSED, fractions, volumes
@@ -25,6 +27,8 @@ _COVERED = 1e-10
 """The share of the volume of the domain or of a cell below which uncovered volume is rounding."""
 _OFF = 1e-4
 """Largest difference of a given tensor's determinant from its right value, over the largest right value."""
+_DEGREE = 6
+"""Degree of the rule whose points on walls are checked."""
 
 
 def starting_fractions(mesh: Mesh, bodies: Sequence[Body], order: int) -> StartValues:
@@ -94,6 +98,29 @@ def values_of_bodies(
                 expected = "a tensor with the determinant that follows from F, which sharp interfaces restore"
                 raise InitialDataError(f"{name}_0", "the value has another determinant", expected, field)
     return {name: value for name, value in filled.items() if name not in given}
+
+
+def check_incoming_tensors(step: Step, material: Mixture, term: Carried) -> None:
+    """Raise ParameterError for a body's incoming tensor whose determinant sharp interfaces would change."""
+    given, ranks, wall = term.given.values, Communicator.of(step.mesh), step.walls.region([term.name])
+    tensors = [(body, X) for body in material.energies for X in material.contents(body)]
+    for body, X in tensors:
+        if X.name not in given or X.power is None:
+            continue
+        field, value, n = f"walls[{term.name!r}].values[{X.name!r}]", given[X.name], AMOUNT + body
+        if n not in given:
+            expected = (
+                " without amounts, since sharp interfaces restore the determinant that follows from them"
+            )
+            raise ParameterError(field, value, None, expected)
+        right = given[n] ** 3 * reduce(add, material.amounts(given).values()) ** -X.power
+        squares = square(Det(value) - right), square(right)
+        off, size = (ranks.most(values_on(wall, of, _DEGREE).max(initial=0.0)) for of in squares)
+        if off > _OFF**2 * size:
+            expected = (
+                "a tensor with the determinant that follows from the amounts, which sharp interfaces restore"
+            )
+            raise ParameterError(field, value, expected)
 
 
 def _require_some_body_in_each_cell(mesh: Mesh, names: Sequence[str], remainder: CoefficientFunction) -> None:

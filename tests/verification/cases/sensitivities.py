@@ -11,7 +11,7 @@ from ngsolve import Mesh, cos, pi, sin, x, y
 
 import ngvisco as nv
 from ngvisco.geometries import box
-from ngvisco.sensitivity.gradient import _base, _numbers
+from ngvisco.sensitivity.gradient import follower_of, numbers_of
 from ngvisco.sensitivity.starts import Starts
 from ngvisco.sensitivity.tangent import Neighbours, history
 from ngvisco.sensitivity.trajectory import Trajectory
@@ -39,8 +39,8 @@ def measure(
     simulation: nv.Simulation, until: float, of: Sequence[str] | Mapping[str, str | nv.Misfit]
 ) -> np.ndarray:
     """Run a simulation until a time, and return the numbers of ``nv.gradient`` without derivatives."""
-    numbers, trajectory = _numbers(of, until, simulation), Trajectory(simulation)
-    base = _base(simulation, numbers.columns)
+    numbers, trajectory = numbers_of(of, until, simulation), Trajectory(simulation)
+    base = follower_of(simulation, numbers.columns)
     trajectory.run(until)
     return numbers.values(numbers.parts(history(trajectory, base)))
 
