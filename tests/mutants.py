@@ -993,6 +993,12 @@ MUTANTS = [
             SHARP + "test_determinants_are_restored_and_the_energy_does_not_rise",
         ),
         (
+            "determinants raised although moduli vary",
+            "if rises > 0 and self._is_uniform else 0.0",
+            "if rises > 0 else 0.0",
+            SHARP + "test_determinants_are_only_lowered_where_moduli_vary",
+        ),
+        (
             "power of the volume in restored determinants",
             "* density**power",
             "* density ** (power + 1)",
