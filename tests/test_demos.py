@@ -90,7 +90,7 @@ def test_swirl_recoils_elastically():
 
 
 @pytest.mark.long
-def test_the_numbers_of_a_creep_test_are_found_within_two_deviations(tmp_path):
+def test_the_creep_test_demo_finds_its_numbers_within_two_deviations(tmp_path):
     """The fit takes four runs with two derivatives each; the demo's README has their cost in runs."""
     demo = load("creep_test")
     found = demo.main(str(tmp_path))
@@ -100,7 +100,7 @@ def test_the_numbers_of_a_creep_test_are_found_within_two_deviations(tmp_path):
 
 
 @pytest.mark.long
-def test_a_soft_spot_is_found_below_its_stations(tmp_path):
+def test_the_soft_spot_demo_finds_the_spot_below_the_stations(tmp_path):
     demo = load("soft_spot")
     stiffness = 3 * np.exp(demo.main(str(tmp_path))).reshape(demo.ROWS, demo.COLUMNS)
     assert stiffness[-1].argmin() == 6  # 2.4 m to 2.8 m
@@ -110,7 +110,7 @@ def test_a_soft_spot_is_found_below_its_stations(tmp_path):
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_the_energy_of_a_swirl_has_densities_of_derivatives(tmp_path):
+def test_the_sensitivity_demo_has_densities_of_derivatives_of_the_energy(tmp_path):
     demo = load("swirl_sensitivity")
     found = demo.main(str(tmp_path), until=0.04, maxh=0.6)
     number = "kinetic at 0.04"
@@ -125,7 +125,7 @@ def test_the_energy_of_a_swirl_has_densities_of_derivatives(tmp_path):
 @pytest.mark.long
 @pytest.mark.ci
 @pytest.mark.filterwarnings("ignore::ngvisco.run.ledger.DefectWarning")
-def test_cavity_goes_on_where_the_body_is_torn(tmp_path):
+def test_the_cavity_demo_continues_while_the_lid_tears_the_body(tmp_path):
     """Under a lid of full speed cells are limited; under a smooth lid none is."""
     demo = load("cavity")
     run = demo.main(str(tmp_path), until=0.36, maxh=0.25)
@@ -260,7 +260,7 @@ def test_demos_are_short_and_explained():
 # --- walls, periodic cells and curved domains meet their closed forms ------------------------------
 
 
-def test_shear_demo_has_the_curve_of_the_published_table():
+def test_the_shear_demo_follows_the_published_table():
     """The table has six decimals, which are 0.1 % of its smallest entry."""
     demo = load("shear")
     assert list(demo.TIMES) == list(TABLE)
@@ -269,7 +269,7 @@ def test_shear_demo_has_the_curve_of_the_published_table():
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_shear_meets_the_whole_table_to_a_thousandth(tmp_path):
+def test_the_shear_demo_agrees_with_the_whole_table_to_a_thousandth(tmp_path):
     """The midpoint rule takes 800 steps; the backward Euler scheme is off by a quarter in tau_11."""
     results = load("shear").main(str(tmp_path))
     for scheme, bounds in (("midpoint", (1e-6, 2.5e-4)), ("backward-euler", (1.5e-3, 0.3))):

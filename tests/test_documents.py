@@ -16,7 +16,7 @@ def name(path):
 
 
 @pytest.mark.parametrize("path", MARKDOWN, ids=name)
-def test_links_lead_to_files_and_headings(path):
+def test_links_in_pages_lead_to_files_and_headings(path):
     text = re.sub(r"```.*?```|`[^`\n]*`", "", path.read_text(), flags=re.DOTALL)
     for target in re.findall(r"\]\(([^)\s]+)\)", text):
         if target.startswith("https://"):

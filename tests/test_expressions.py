@@ -45,14 +45,14 @@ def test_expression_has_the_value_of_its_formula(text, value):
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
-def test_functions_agree_with_those_of_numbers(name):
+def test_functions_of_coefficients_agree_with_those_of_numbers(name):
     count, exact, _ = FUNCTIONS[name]
     names = ("x", "y")[:count]
     assert at_point(f"{name}({', '.join(names)})") == pytest.approx(exact(*POINT[:count]), rel=1e-13)
     assert at_point(f"{name}({', '.join(['0.3', '0.7'][:count])})") == exact(*POINT[:count])
 
 
-def test_time_is_that_of_the_run():
+def test_the_time_in_an_expression_is_that_of_the_run():
     rate = parse("3*t").coefficient()
     try:
         nv.time.Set(2.0)
@@ -149,7 +149,7 @@ def test_random_expression_equals_python(text):
         ("0 < 1", 1.0),
     ],
 )
-def test_region_is_positive_inside_and_as_far_as_its_condition_holds(text, value):
+def test_a_region_s_function_is_the_margin_of_its_condition(text, value):
     assert parse_region(text).coefficient()(MESH(*POINT)) == pytest.approx(value, rel=1e-13)
 
 

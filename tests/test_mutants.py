@@ -6,7 +6,7 @@ from mutants import MUTANTS, ROOT, copy_with, seen
 
 
 @pytest.mark.parametrize("mutant", MUTANTS, ids=[mutant.name for mutant in MUTANTS])
-def test_each_change_fits_one_place_and_has_a_test(mutant):
+def test_each_mutant_has_one_place_and_a_test(mutant):
     text = (ROOT / mutant.file).read_text(encoding="utf-8")
     assert text.count(mutant.old) == 1
     path, _, name = mutant.seen_by.partition("::")
@@ -15,6 +15,6 @@ def test_each_change_fits_one_place_and_has_a_test(mutant):
 
 @pytest.mark.long
 @pytest.mark.parametrize("mutant", MUTANTS, ids=[mutant.name for mutant in MUTANTS])
-def test_each_change_makes_its_test_fail(mutant, tmp_path):
+def test_each_mutant_makes_its_test_fail(mutant, tmp_path):
     copy_with(mutant, tmp_path)
     assert seen(mutant, tmp_path)

@@ -25,12 +25,12 @@ def script():
     return block
 
 
-def test_front_page_is_no_longer_than_one():
+def test_the_front_page_fits_on_one_page():
     lines = README.read_text().splitlines()
     assert len(lines) <= 80 and max(map(len, lines)) <= 130
 
 
-def test_script_runs_and_closes(tmp_path, monkeypatch, capsys):
+def test_the_readme_s_script_runs_and_its_ledger_closes(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert len([line for line in script().splitlines() if line]) <= 22
     names = ran(script())

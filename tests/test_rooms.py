@@ -76,7 +76,7 @@ def test_modules_beside_the_rooms_import_what_their_line_allows():
             assert {floor_of(target) for target in graph()[module]} == allowed, module
 
 
-def test_no_import_goes_round_in_a_circle_not_for_types_either():
+def test_imports_have_no_cycle_also_not_for_types():
     assert circles_in(graph(typed=True)) == []
 
 

@@ -61,7 +61,7 @@ def type_names(path: Path) -> Iterator[str]:
             yield from (t.id for t in targets if isinstance(t, ast.Name) and re.match("_?[A-Z]+[a-z]", t.id))
 
 
-def test_a_term_declares_what_others_need_of_it():
+def test_only_the_base_of_terms_asks_for_a_term_s_class():
     """No module but the base of terms asks for a term's class."""
     asking = {
         f"{path.relative_to(ROOT)}:{number}"
@@ -72,7 +72,7 @@ def test_a_term_declares_what_others_need_of_it():
     assert not asking
 
 
-def test_a_name_is_that_of_one_class_or_alias():
+def test_a_name_belongs_to_one_class_or_alias():
     places: dict[str, list[str]] = {}
     for path in PACKAGE:
         for name in type_names(path):

@@ -31,7 +31,7 @@ def test_a_split_step_has_the_same_bits_with_two_threads():
     assert (together == alone).all()
 
 
-def test_within_array_work_ngsolve_has_no_workers():
+def test_ngsolve_has_no_workers_during_array_work():
     SetNumThreads(2)
     try:
         with threads.computing():
@@ -47,7 +47,7 @@ def test_within_array_work_ngsolve_has_no_workers():
 
 
 @pytest.mark.parametrize("parts", (1, 2, 3, 9))
-def test_workers_take_every_part_once_and_return_results_in_order(parts):
+def test_workers_do_every_part_once_and_return_results_in_order(parts):
     """Parts may be done before all threads have begun."""
     workers = threads.Workers(4)
     for _ in range(100):

@@ -12,7 +12,7 @@ from ngvisco.errors import StepError
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_minimum_meets_its_conditions(seed):
+def test_minimum_in_a_box_meets_the_optimality_conditions(seed):
     """The slope is zero where no bound is active, and has the bound's sign elsewhere; the drag depends on
     the sign of x."""
     rng, n = np.random.default_rng(seed), 30
@@ -44,7 +44,7 @@ def system(size=80):
 
 
 @pytest.mark.parametrize(("rtol", "most"), [(1e-2, 40), (1e-8, 40), (1e-8, 5)])
-def test_gmres_takes_the_directions_of_scipy(rtol, most):
+def test_gmres_takes_the_same_directions_as_scipy(rtol, most):
     matrix, right = system()
     found, taken = gmres(matrix.__matmul__, right, rtol=rtol, directions=most)
     steps = []
@@ -54,7 +54,7 @@ def test_gmres_takes_the_directions_of_scipy(rtol, most):
     assert np.linalg.norm(found - expected) <= 1e-10 * np.linalg.norm(expected)
 
 
-def test_inner_products_are_those_of_the_caller():
+def test_gmres_uses_the_inner_product_of_its_caller():
     """Unknowns that a vector contains twice, as those that ranks share, count once."""
     matrix, right = system()
     twice = np.concatenate([np.arange(len(right)), np.arange(10)])
@@ -86,7 +86,7 @@ def test_gmres_gives_nan_for_numbers_that_are_not_finite(bad):
     assert np.isnan(gmres(lambda x: bad * x, right, rtol=1e-2, directions=3)[0]).all()
 
 
-def test_matrices_beside_and_above_each_other_are_those_of_scipy():
+def test_stacked_matrices_equal_those_of_scipy():
     blocks = [sp.random(7, n, 0.4, "csr", random_state=n) for n in (3, 5, 4)]
     row, expected = beside(blocks), sp.hstack(blocks, format="csr")
     parts = [row, 2 * row, row[:0]]

@@ -31,7 +31,7 @@ def few(monkeypatch):
 
 
 @pytest.mark.parametrize("bent, nodes", [(None, 3), (4, 4), (1, POINTS)])
-def test_products_are_those_of_the_sparse_matrix(bent, nodes):
+def test_products_equal_those_of_the_sparse_matrix(bent, nodes):
     rng = np.random.default_rng(3)
     A, weights = matrix(rng, bent), rng.random(CELLS * PIECES * POINTS)
     local = LocalMatrix(A, CELLS, weights, pieces=PIECES)
@@ -51,7 +51,7 @@ def test_products_are_those_of_the_sparse_matrix(bent, nodes):
 
 
 @pytest.mark.parametrize("bent", [None, 4])
-def test_the_points_of_two_rules_share_nodes_that_suffice(bent):
+def test_two_rules_share_their_nodes_where_functions_are_quadratic(bent):
     """The second rule has seven other points; in a cell that is not quadratic it keeps its own values."""
     first = LocalMatrix(matrix(np.random.default_rng(3)), CELLS, pieces=PIECES)
     B = matrix(np.random.default_rng(3), bent, np.linspace(0.1, 0.8, POINTS) ** 2)
@@ -78,7 +78,7 @@ def test_a_rank_without_cells_has_blocks_of_no_size():
 
 
 @pytest.mark.parametrize("sides", [4, 0])
-def test_integrals_and_loads_are_sums_over_points_also_where_a_rank_has_no_sides(rng, sides):
+def test_integrals_and_loads_are_sums_over_points_also_on_a_rank_without_sides(rng, sides):
     """Without sides there are no nodes: the values then have as many rows as points."""
     shape, weights = rng.standard_normal((2, POINTS)), rng.random((sides, POINTS))
     left = Functions(rng.standard_normal((sides, 3, 2 if sides else 0)), shape if sides else None)

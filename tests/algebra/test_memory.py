@@ -35,7 +35,7 @@ def test_a_block_is_mapped_by_itself_after_a_larger_one_was_freed():
     assert result.stdout.split() == ["1", "0"]
 
 
-def test_a_bound_in_the_environment_stays(monkeypatch):
+def test_a_threshold_set_in_the_environment_is_kept(monkeypatch):
     for name, value in (
         ("MALLOC_MMAP_THRESHOLD_", "1000000"),
         ("GLIBC_TUNABLES", "glibc.malloc.mmap_threshold=100"),

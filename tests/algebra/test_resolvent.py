@@ -7,7 +7,7 @@ from ngvisco.algebra.resolvent import resolvents
 
 
 @pytest.mark.parametrize("terms", range(5, 13))
-def test_the_number_of_terms_leaves_an_error_below_its_limit(terms):
+def test_the_series_has_enough_terms_for_its_error_limit(terms):
     """N has the norm s with s^terms = 1e-4, and the norm of each power of N is the same power of s."""
     size = 1e-4 ** (1 / terms)
     N = np.array([size * np.ones((4, 4)) / 4])

@@ -27,7 +27,7 @@ def test_quick_run_saves_its_table(tmp_path, capsys):
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_a_step_has_rows_by_threads_and_by_another_method(tmp_path):
+def test_the_workstation_table_has_rows_for_threads_and_for_a_lagrangian_method(tmp_path):
     """The Lagrangian row solves the same problem; without petsc4py it names what is missing."""
     assert workstation.main(["--cells", "48", "--steps", "1", "-o", str(tmp_path)]) == 0
     one, two, other = json.loads((tmp_path / "workstation.json").read_text())
@@ -60,7 +60,7 @@ def test_kernels_have_a_row_each():
     assert all(head.count("|") == row.count("|") for row in table)
 
 
-def test_exponents_are_fitted():
+def test_exponents_of_cost_are_fitted():
     row = {"dim": 3, "method": "split", "threads": 2, "maxh": 1.0}
     rows = [
         row | {"cells": n, "step": 2e-3 * n**1.1, "memory": 1e-4 * n, "maxh": 1 / n}
@@ -133,7 +133,7 @@ def test_table_has_a_row_for_each_number_of_ranks():
     assert "| no MPI | direct | 12 | 2.00 s |" in text and "| 2 | direct | 5 to 7 |" in text
 
 
-def test_rows_of_one_table_only_are_named():
+def test_rows_that_only_one_table_has_are_named():
     rows = [{"n": 1, "step": 2.0}, {"n": 2, "step": 1.0}, {"n": 3, "failed": "no"}]
     text = against(rows, [{"n": 1, "step": 4.0}, {"n": 3, "step": 1.0}], ["n"], ["step"])
     assert "| 1 | 0.50 |" in text

@@ -103,7 +103,7 @@ def test_units_of_length_hold_for_places_of_bodies():
         assert volumes(box((1, 1), maxh=0.1), [place])[0] == pytest.approx(0.04 * pi, rel=1e-3)
 
 
-def test_modulus_of_the_initial_place_is_carried_and_the_ledger_closes():
+def test_a_modulus_that_depends_on_place_is_carried_and_the_ledger_closes():
     material = '[material]\nkind = "ReferentialNeoHookean"\nK_e = "10 + 5*x"\nG_e = 1\nepsilon = 1\n'
     loaded = case(HEAD + material + '[units]\npressure = "kPa"\n[[loads]]\nkind = "Gravity"\ng = [0, -1]\n')
     mesh = loaded.mesh()
@@ -126,7 +126,7 @@ def test_modulus_in_z_is_refused_in_two_dimensions():
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_run_directory_goes_on_without_the_shape_s_file(tmp_path):
+def test_a_run_directory_is_resumed_without_the_file_of_the_shape(tmp_path):
     """The directory has a copy of the file; mass, table and ledger continue from the checkpoint."""
     from matplotlib.image import imsave
 
@@ -195,7 +195,7 @@ def test_a_scene_has_outlines_of_bodies_whatever_fields_are_written(tmp_path, ca
         ),
     ],
 )
-def test_place_that_does_not_fit_is_refused_before_anything_is_written(tmp_path, where, key, message):
+def test_a_wrong_place_is_refused_before_anything_is_written(tmp_path, where, key, message):
     triangle = "vertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\n"
     (tmp_path / "part.stl").write_text(
         f"solid a\nfacet\nouter loop\n{triangle}endloop\nendfacet\nendsolid a\n"
@@ -208,7 +208,7 @@ def test_place_that_does_not_fit_is_refused_before_anything_is_written(tmp_path,
     assert not (tmp_path / "run").exists()
 
 
-def test_line_of_a_fault_is_that_of_its_shape_among_several_tables():
+def test_a_fault_has_the_line_of_its_shape_among_several_tables():
     where = "".join(
         f'\n[[bodies.where]]\nkind = "Subdomain"\nnames = "{n}"' for n in ("default", "inclusion")
     )
@@ -240,7 +240,7 @@ def test_keys_of_bodies_are_explained():
         reference.explain("bodies.0.densty")
 
 
-def test_bodies_of_a_case_have_heat_each_by_its_own_material_and_law():
+def test_each_body_of_a_case_has_heat_by_its_own_material_and_law():
     cold = '{ kind = "ReferentialNeoHookean", K_e = 10, G_e = 0.1, epsilon = 0.1 }'
     warm = cold[:-2] + ", thermal = { c = 3.0, theta_R = 300.0, expansion = 0.001 } }"
     text, disc = BODIES.replace(cold, warm).split("[bodies.material]\n")

@@ -53,7 +53,7 @@ def test_the_directory_holds_both_cases_and_the_change(run):
     assert nv.load(run).case.sections.material.G_e == 6
 
 
-def test_an_end_time_is_the_nearest_end_of_a_step(run):
+def test_an_end_time_is_moved_to_the_nearest_end_of_a_step(run):
     """The end may be off by a thousandth of dt, because a time in other units is known to some digits
     only."""
     assert nv.case.resume(run, 0.06 + 1e-5).t == pytest.approx(0.06, rel=1e-15)
@@ -98,7 +98,7 @@ def test_a_change_that_was_interrupted_is_taken_up(run, monkeypatch):
         ("time.until=0.02", "time.until .*expected a time after t = 0.04 s"),
     ],
 )
-def test_what_may_not_change_is_refused_and_nothing_is_written(run, setting, message):
+def test_a_change_of_a_fixed_key_is_refused_and_nothing_is_written(run, setting, message):
     before = contents(run)
     with pytest.raises((nv.CaseError, nv.CheckpointError, nv.RunDirectoryError), match=message):
         nv.case.resume(run, settings=[setting])
@@ -138,7 +138,7 @@ def test_an_earlier_run_that_does_not_fit_leaves_nothing_behind(run, tmp_path, s
     assert not contents(tmp_path / "new") if (tmp_path / "new").exists() else True
 
 
-def test_force_removes_nothing_where_the_earlier_run_is_later_than_the_end(run):
+def test_force_removes_nothing_if_the_earlier_run_has_passed_the_end(run):
     before = contents(run)
     with pytest.raises(nv.CaseError, match=r"time\.until: .*already reached"):
         nv.case.run(case(run), run, source=run, force=True)

@@ -38,7 +38,7 @@ def test_resumed_run_is_bitwise_identical_on_every_kind_of_domain(name, tmp_path
     assert np.array_equal(values(loaded.simulation), values(rest)) and loaded.time == rest.t
 
 
-def test_what_is_no_run_directory_is_refused(tmp_path):
+def test_a_directory_without_a_run_is_refused(tmp_path):
     for act in (resume, nv.load):
         with pytest.raises(nv.RunDirectoryError, match="not a run directory"):
             act(tmp_path)

@@ -166,7 +166,7 @@ def test_any_text_is_an_energy_or_refused(text):
         ("b=J**2*F*trans(F)", "b", 2),
     ],
 )
-def test_variables_by_definition(text, name, exponent):
+def test_a_variable_has_the_exponent_of_its_definition(text, name, exponent):
     variable = custom_material([text, "J"], f"norm2({name}) + J").variables[0]
     assert (variable.name, variable.exponent) == (name, pytest.approx(exponent))
 
@@ -234,7 +234,7 @@ until = 0.02
 
 
 @pytest.mark.parametrize("method", ["coupled", "split"])
-def test_a_conductivity_by_text_is_the_function_of_the_temperature(method):
+def test_a_conductivity_may_be_a_text_in_the_temperature(method):
     case = parse_case(WARM, "case", Path("."), [f"solver.method={method}"])
     ledger = case.simulation(case.mesh()).run(case.until)
     start = nv.Initial(density=1.0, temperature=300 + 100 * x)
@@ -274,7 +274,7 @@ def test_a_conductivity_of_a_case_names_what_is_wrong(value, words):
         ("material.energy=3", ["material.energy", "expected a text"]),
     ],
 )
-def test_faults_of_a_case_are_found_when_it_is_read(setting, words):
+def test_wrong_energies_of_a_case_are_refused_when_it_is_read(setting, words):
     with pytest.raises(nv.CaseError) as caught:
         parse_case(CASE, "case", Path("."), [setting])
     assert all(word in str(caught.value) for word in words), str(caught.value)

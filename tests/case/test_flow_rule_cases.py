@@ -88,12 +88,12 @@ def case_of(text, creep, tmp_path, viscosity=STOKES):
     return load_case(path)
 
 
-def test_every_kind_is_tried():
+def test_every_kind_of_creep_and_viscosity_is_tried():
     assert set(CREEPS) == set(KINDS) and set(VISCOSITIES) == set(ALL_VISCOSITIES)
 
 
 @pytest.mark.parametrize("kind", CREEPS)
-def test_a_flow_rule_of_a_case_is_that_of_its_keys(kind, tmp_path):
+def test_a_case_makes_the_flow_rule_that_its_keys_describe(kind, tmp_path):
     keys, expected = CREEPS[kind]
     of_conformation = expected.reads_conjugate
     text = ONE.replace("LinearElastic", "OldroydB") if of_conformation else ONE
@@ -109,7 +109,7 @@ def test_a_flow_rule_of_a_case_is_that_of_its_keys(kind, tmp_path):
 
 
 @pytest.mark.parametrize("kind", VISCOSITIES)
-def test_a_viscosity_of_a_case_is_that_of_its_keys(kind, tmp_path):
+def test_a_case_makes_the_viscosity_that_its_keys_describe(kind, tmp_path):
     keys, expected = VISCOSITIES[kind]
     keys = f'kind = "{kind}", {keys}'
     assert case_of(ONE, "G_m = 1", tmp_path, keys).model(2).viscosity == expected

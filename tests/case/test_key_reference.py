@@ -163,7 +163,7 @@ def test_the_schema_admits_the_demos_and_refuses_what_is_misspelt(schema):
 
 
 @pytest.mark.parametrize("name", list(template.demos()))
-def test_a_template_is_the_demo_with_notes(name):
+def test_a_template_is_the_case_of_its_demo_with_notes(name):
     text = template.template(name)
     made, demo = parse_case(text, name, Path(".")), nv.load_case(template.demos()[name])
     assert made.resolved == demo.resolved
@@ -215,7 +215,7 @@ def test_explain_says_what_a_key_is(path, words):
 @pytest.mark.parametrize(
     "path", ["tim.dt", "", ".", "time.dt.x", "material.Ge", "loads.x.g", "\0", "a" * 5000]
 )
-def test_what_is_no_key_is_refused_with_the_nearest(path):
+def test_an_unknown_key_is_refused_with_the_nearest_key(path):
     with pytest.raises(nv.ParameterError, match="ngvisco list --keys"):
         reference.explain(path)
 

@@ -52,7 +52,7 @@ def by_script(material):
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_a_network_is_that_of_a_script_and_goes_on_to_the_bit(tmp_path):
+def test_a_network_of_a_case_equals_that_of_a_script_and_resumes_bitwise(tmp_path):
     case = load_case(written(tmp_path, NETWORK))
     first = run_case(case, tmp_path / "half")
     slow = nv.ReferentialNeoHookean(K_e=0.0, G_e=2.0 + x)
@@ -83,7 +83,7 @@ def test_the_resolved_case_has_the_choices_of_the_run(tmp_path):
 
 
 @pytest.mark.parametrize("of", ["G_0", "G_inf"])
-def test_prony_shares_are_of_the_modulus_that_is_named(tmp_path, of):
+def test_prony_shares_refer_to_the_named_modulus(tmp_path, of):
     material = load_case(written(tmp_path, PRONY, ("G_0", of))).model(2).material
     parts = {name: branch.material.G_e for name, branch in material.parts.items()}
     assert parts == pytest.approx({"spring": 0.5 if of == "G_0" else 1.0, "mode_1": 0.3, "mode_2": 0.2})
@@ -162,7 +162,7 @@ def test_a_mode_relaxes_in_its_time_at_small_strains(material, G):
     assert branch.creep.G_m / (2 * G) == pytest.approx(3.0, rel=1e-14)
 
 
-def test_shifts_by_temperature_are_those_of_their_formulas():
+def test_temperature_shifts_follow_their_formulas():
     chains = nv.OldroydB(K_e=10.0, G_e=5.0)
     shift = 10 ** (17.4 * 20 / (51.6 + 20))
     for options, factor in (

@@ -160,7 +160,7 @@ ONE | density = 1 -> density = "(((((((((1 + x)**16)**16)**16)**16)**16)**16)**1
 
 
 @pytest.mark.parametrize(("text", "message"), faults(NONSENSE, globals()))
-def test_nonsense_is_refused_where_it_stands(text, message):
+def test_a_wrong_value_is_refused_with_its_place_in_the_file(text, message):
     with pytest.raises(CaseError) as caught:
         case = parse_case(text, "case.toml", Path("."))
         case.simulation(case.mesh())
@@ -204,7 +204,7 @@ def test_nonsense_is_refused_where_it_stands(text, message):
         (("None of U(J), Poisson(x)",), "None of U(J), Poisson(x)", "None of U(J), Poisson(x)"),
     ],
 )
-def test_names_of_python_in_a_message_are_keys_in_a_case(parts, in_python, in_a_case):
+def test_a_message_about_a_case_names_keys_instead_of_python_names(parts, in_python, in_a_case):
     assert Words(*parts) == in_python
     assert in_case(nv.InputWarning(Words(*parts))) == in_case(Words(*parts)) == in_a_case
     assert in_case(nv.ParameterError("Initial.F", 1, *parts)) == f"initial.F = 1: expected {in_a_case}"
@@ -213,7 +213,7 @@ def test_names_of_python_in_a_message_are_keys_in_a_case(parts, in_python, in_a_
         assert in_case(error) == f"time.until = {word}: expected {in_a_case}"
 
 
-def test_truth_values_that_a_law_admits_are_words_of_a_case():
+def test_a_message_about_a_case_writes_true_and_false_as_toml_does():
     with pytest.raises(nv.ParameterError, match=r"sharp = 1: expected True or False") as caught:
         nv.Discretisation(sharp=1)
     assert in_case(caught.value) == "discretisation.sharp = 1: expected true or false"

@@ -86,7 +86,7 @@ def test_a_material_from_a_file_runs_as_the_same_energy_by_an_expression(place: 
     assert found[0][-1] > 1e-4 and np.allclose(*found, rtol=1e-9)
 
 
-def test_a_run_directory_has_the_file_and_the_hash_its_content(place: Path) -> None:
+def test_a_run_directory_keeps_the_file_and_the_hash_depends_on_its_content(place: Path) -> None:
     made = case(place)
     (copy,), before = made.files, made.hash
     run(made, place / "run")

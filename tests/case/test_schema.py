@@ -127,7 +127,7 @@ def test_adaptive_steps_are_counted_by_the_longest_one():
 
 
 @pytest.mark.parametrize("until", [1.04, 3.0])
-def test_the_least_length_that_a_refusal_names_is_taken(until):
+def test_the_least_step_that_a_refusal_names_is_accepted(until):
     """The nearest number with two digits would be refused as well."""
     steps = [f"time.until={until}", "time.dt=1e-12", "time.adaptive.dt_min=1e-13"]
     with pytest.raises(CaseError, match="expected at least") as caught:
@@ -357,5 +357,5 @@ def test_any_setting_is_understood_or_refused(text):
     assert path and all(path)
 
 
-def test_an_index_in_brackets_is_one_behind_a_dot():
+def test_an_index_may_stand_in_brackets_or_behind_a_dot():
     assert parse_override("loads[0].g=[0, -1]") == parse_override("loads.0.g=[0, -1]")

@@ -140,7 +140,7 @@ def test_every_unit_of_the_reference_is_known():
     assert set(SI) == set(type(case(IN_SI).sections.units).model_fields)
 
 
-def test_units_apply_to_exponents_of_the_section():
+def test_the_unit_of_a_key_may_depend_on_an_exponent_of_its_section():
     """The unit of mu depends on p, because mu |hess v|^p is in W/m^3."""
     text = IN_SI.replace("mu = 1e15", 'mu = "2 Pa km^2 s"\np = 2')
     assert case(text).sections.rheology.hyperviscosity.mu == pytest.approx(2e6)
@@ -181,7 +181,7 @@ def test_a_wrong_unit_is_a_fault_of_its_key(setting, message):
         loaded.mesh()
 
 
-def test_a_unit_with_another_zero_converts_numbers_and_is_no_factor():
+def test_degrees_celsius_convert_numbers_but_have_no_factor():
     assert converted(-20.0, "degC", "K") == pytest.approx(253.15, rel=1e-15)
     assert converted(2.0, "W/(m delta_degC)", "W/(m K)") == pytest.approx(2.0, rel=1e-15)
     with pytest.raises(UnitError, match="degC"):
@@ -219,7 +219,7 @@ def test_a_time_of_the_command_line_is_in_seconds_or_has_its_unit():
             number(text, "s")
 
 
-def test_velocities_without_a_unit_beside_lengths_and_times_with_one_are_said():
+def test_velocities_without_a_unit_beside_lengths_and_times_with_units_bring_a_warning():
     """No unit is derived from others: with km and kyr a plain velocity is in m/s."""
     text = CASE.replace('velocity = "cm/s"\n', "", 1)
     with pytest.warns(
@@ -250,14 +250,14 @@ until = 0.2
 """
 
 
-def test_a_unit_may_begin_with_one_over_another():
+def test_a_unit_may_begin_with_a_reciprocal():
     sections = parse_case(NORTON, "case.toml", Path()).sections
     factor_of_power = sections.rheology.creep.A
     assert factor_of_power == pytest.approx(0.5e-15, rel=1e-12)
     assert sections.time.dt == pytest.approx(0.1, rel=1e-12)
 
 
-def test_the_unit_of_a_power_law_has_a_fitted_exponent():
+def test_a_fit_prints_a_power_law_in_the_unit_of_its_fitted_exponent():
     """A fit prints A in the unit that belongs to the fitted n, so that the printed command runs."""
     sections = parse_case(NORTON, "case.toml", Path()).sections
     assert key_and_unit_of("creep.A", sections) == ("rheology.creep.A", "1/s/Pa^(2.5)")

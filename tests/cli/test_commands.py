@@ -27,7 +27,7 @@ def ended(*words):
         return end.code
 
 
-def test_run_directory_explains_itself(finished):
+def test_a_run_directory_explains_its_files(finished):
     names = {path.name for path in finished.iterdir()}
     assert {"case.toml", "versions.json", "mesh.vol", "ledger.csv", "run.h5", "vtk", "log.txt"} <= names
     resolved = tomllib.loads((finished / "case.toml").read_text())
@@ -146,7 +146,7 @@ def test_check_counts_steps_that_a_run_chooses_by_the_longest_one(case_file, cap
 
 @pytest.mark.filterwarnings("default::ngvisco.errors.InputWarning")
 @pytest.mark.parametrize(("kind", "count"), [("NeoHookean", 1), ("ReferentialNeoHookean", 0)])
-def test_check_says_which_stress_at_rest_open_walls_do_not_bear(kind, count, tmp_path, capsys):
+def test_check_names_the_stress_at_rest_that_open_walls_do_not_balance(kind, count, tmp_path, capsys):
     law = "K_e = 10\nG_e = 5" + "\nepsilon = 0.1" * count
     case = f"""[domain]
 geometry = "box"
@@ -313,7 +313,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("setting", REFUSED.values(), ids=REFUSED)
-def test_a_refused_case_leaves_nothing_and_cites_the_users_file(setting, case_file, tmp_path, capsys):
+def test_a_refused_case_leaves_no_files_and_cites_the_users_file(setting, case_file, tmp_path, capsys):
     out = tmp_path / "results" / "out"
     assert ended("run", case_file, "-o", out, "--set", setting) == 2
     assert not out.exists() and sorted(tmp_path.iterdir()) == [case_file]
@@ -334,7 +334,7 @@ def half(tmp_path, finished):
     return shutil.copytree(finished, tmp_path / "half")
 
 
-def test_a_lock_is_there_only_while_it_is_held(tmp_path, case_file, half):
+def test_a_lock_file_exists_only_while_the_lock_is_held(tmp_path, case_file, half):
     (half / "run.h5").write_bytes(b"damaged")
     assert ended("resume", half) == 3
     assert ended("run", case_file, "-o", half) == 2
@@ -348,7 +348,7 @@ def test_a_lock_is_there_only_while_it_is_held(tmp_path, case_file, half):
 
 
 @pytest.mark.filterwarnings("default")
-def test_a_ledger_that_does_not_close_is_loud(case_file, tmp_path, capsys, monkeypatch):
+def test_a_ledger_that_does_not_close_is_reported(case_file, tmp_path, capsys, monkeypatch):
     from ngvisco.forms.terms.momentum import Loading
 
     monkeypatch.setattr(Loading, "entries", lambda self, u: [])

@@ -77,14 +77,12 @@ def test_a_disk_that_fills_up_loses_nothing(half, finished):
     assert_same_run(half, finished)
 
 
-def test_a_run_that_went_on_beyond_its_case_is_not_late(half):
+def test_info_reports_a_run_beyond_its_case_as_finished(half):
     assert command("resume", half, "--until", 0.06, "--quiet")[0] == DONE
     assert "t = 0.06 s, beyond the case's 0.04 s, step 3; finished" in command("info", half)[1]
 
 
-def test_an_end_with_its_unit_may_miss_a_step_by_rounding_and_steps_are_counted_from_the_start(
-    half, finished
-):
+def test_an_end_in_other_units_may_miss_a_step_by_rounding(half, finished):
     code, out, err = command("resume", half, "--until", "80.0001 ms")
     assert code == DONE, err
     assert "2 steps of 0.02 s" in out and "step     3/4 " in out and "step     4/4 " in out
@@ -153,7 +151,7 @@ def test_a_run_that_has_lost_its_checkpoints_is_not_begun_anew(half):
     assert (half / "ledger.csv").read_bytes() == before
 
 
-def test_a_mesh_file_of_ones_own_runs(half, case_file):
+def test_a_user_s_mesh_file_runs(half, case_file):
     shutil.copy(half / "mesh.vol", case_file.parent / "own.vol")
     text = CASE.replace('geometry = "box"\nsize = [1, 1]\nmaxh = 0.6', 'geometry = "file"\npath = "own.vol"')
     case_file.write_text(text)
@@ -186,7 +184,7 @@ def test_a_damaged_or_foreign_checkpoint_is_refused_with_the_reason(damage, half
     assert path.read_bytes() == before
 
 
-def test_a_damaged_checkpoint_names_the_one_before_from_which_a_run_goes_on(half):
+def test_a_damaged_checkpoint_is_named_with_the_earlier_one_that_can_be_resumed(half):
     path = half / "run.h5"
     with h5py.File(path, "a") as file:
         first, last = sorted(file["checkpoints"])
@@ -200,7 +198,7 @@ def test_a_damaged_checkpoint_names_the_one_before_from_which_a_run_goes_on(half
     assert code == BAD_FILE and "is damaged" in err and "restore" not in err
 
 
-def test_only_the_checksummed_is_read_of_a_run_file_without_parts(half):
+def test_a_run_file_that_lacks_parts_is_refused(half):
     for group in ("checkpoints", "ledger/kinetic"):
         path = half / "run.h5"
         whole = path.read_bytes()
@@ -217,7 +215,7 @@ def test_only_the_checksummed_is_read_of_a_run_file_without_parts(half):
     "shell",
     [pytest.param(to, marks=REST) for to in ("{} | head -n 1", "{} >&-", "{} > /dev/full", "{} >&- 2>&-")],
 )
-def test_an_output_that_nobody_takes_does_not_end_a_run(shell, tmp_path, case_file):
+def test_a_closed_output_pipe_does_not_end_a_run(shell, tmp_path, case_file):
     run = f"{sys.executable} -m ngvisco.cli.main run {case_file} -o {tmp_path / 'out'}"
     code = f"set -o pipefail; {shell.format(run)}; code=${{PIPESTATUS[0]}}; exit $code"
     result = subprocess.run(["bash", "-c", code], env=environment(), capture_output=True, text=True)

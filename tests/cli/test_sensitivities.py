@@ -123,7 +123,7 @@ pressure = "kPa"
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_a_fit_speaks_the_case_s_units(case, tmp_path):
+def test_a_fit_reads_and_prints_the_case_s_units(case, tmp_path):
     """Bounds are read as ``--set`` reads numbers, and the printed command sets the fitted numbers."""
     text = case.read_text().replace("G_e = 5", "G_e = 0.005").replace("K_e = 10", "K_e = 0.01") + UNITS
     case.write_text(text)
@@ -182,7 +182,7 @@ def test_wrong_input_of_a_fit_is_refused_with_its_reason(case, tmp_path, words, 
     assert code == 2 and said in err
 
 
-def test_bounds_with_values_that_the_run_refuses_are_named(case, tmp_path):
+def test_bounds_of_a_fit_that_admit_refused_values_are_named(case, tmp_path):
     # no modulus > 0 gives such energies
     (tmp_path / "data.csv").write_text("time,stored\n0.02,-1\n0.06,-1\n")
     words = ("--by", "material.G_e", "--bounds", "material.G_e=-90,10", "--quiet", "-o", tmp_path / "fit")

@@ -171,7 +171,7 @@ def energies_of(step):
     return np.array(Integrate(step.energy.density(step.now), step.mesh, element_wise=True, order=degree))
 
 
-def test_a_mean_out_of_bounds_is_named_with_its_place():
+def test_a_cell_mean_out_of_bounds_is_named_with_its_place():
     step = step_of(box((1, 1), 0.3))
     sampler = Sampler(step.mesh, step.quadrature)
     cell = mesh_cell(step.mesh, (0.95, 0.5))
@@ -206,7 +206,7 @@ def mesh_cell(mesh, point):
         (CONVEX, set()),
     ],
 )
-def test_continued_variables_have_no_bounds_and_the_energy_goes_on(material, names):
+def test_variables_of_a_continued_energy_have_no_bounds(material, names):
     from ngvisco.physics.pointwise import respond
 
     assert material.continued == names
@@ -228,7 +228,7 @@ def test_nearest_wall_is_exact_in_2d_and_3d():
     assert wall == "bottom" and distance == pytest.approx(0.07)
 
 
-def test_limiter_leaves_a_linear_field_of_the_place_alone():
+def test_limiter_leaves_a_positive_linear_field_alone():
     """Positive fields of high contrast need no limiter."""
     step = step_of(box((1, 1, 1), 0.8), material=nv.NeoHookean(K_e=3, G_e=1, epsilon=0.2, elastic_state="F"))
     initial = nv.Initial(density=1e-4 + x + y + z)

@@ -171,7 +171,7 @@ def test_the_datum_is_a_wall_a_point_or_the_top():
         ({"density": 100.0}, nv.InitialDataError, "a bulk law that has a J at every pressure"),
     ],
 )
-def test_what_is_no_equilibrium_is_refused(given, error, said):
+def test_a_start_without_an_equilibrium_is_refused(given, error, said):
     with pytest.raises(error, match=said):
         at_rest(**{"density": RHO} | given)
 
@@ -196,7 +196,7 @@ def frictional(**given):
     return at_rest(model=model, density=RHO, **given)
 
 
-def test_a_negative_pressure_that_a_law_reads_is_said_once_with_the_remedy():
+def test_a_negative_pressure_that_a_law_reads_is_warned_of_once_with_the_remedy():
     assert readers(frictional().model) == ["DruckerPrager"] and readers(at_rest(density=RHO).model) == []
     run = frictional(equilibrium=None)
     assert any(

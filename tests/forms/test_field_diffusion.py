@@ -119,7 +119,7 @@ def test_power_is_that_of_the_ledger_and_positive_at_random_states(name, rng):
             assert power == pytest.approx(entry, rel=1e-9)
 
 
-def test_sign_holds_where_an_interior_penalty_of_z_creates_energy():
+def test_diffusion_dissipates_where_an_interior_penalty_of_z_creates_energy():
     """A stiff fluid, p = J^-30, is at rest in one cell, and compressed towards one of the vertices in the
     other cell."""
     mesh = box((1, 1), maxh=1)
@@ -140,7 +140,7 @@ def test_sign_holds_where_an_interior_penalty_of_z_creates_energy():
 
 
 @pytest.mark.parametrize("m", [1, 2])
-def test_slope_is_the_gradient_of_z_and_the_power_the_paper_s(m):
+def test_the_diffused_slope_is_grad_z_with_the_paper_s_power(m):
     """The power is phi''(z) grad z : grad z (Euler-small-calc-Delta), for a smooth z without flux through
     walls."""
     T = 1 + 0.3 * cos(pi * x) * cos(pi * y)

@@ -111,7 +111,7 @@ def test_both_solvers_keep_the_energy_and_agree_with_a_tensor_in_three_dimension
 
 
 @pytest.mark.parametrize("solver", ["coupled", "split"])
-def test_heat_from_sources_and_through_walls_is_in_the_energy(solver):
+def test_heat_from_sources_and_walls_is_counted_in_the_energy(solver):
     walls = {
         "left": nv.Slip(heat=nv.WallHeat(temperature=1.5, coefficient=0.4)),
         "right": nv.NoSlip(heat=nv.WallHeat(flux=0.1 * (1 + y))),
@@ -131,7 +131,7 @@ def test_heat_from_sources_and_through_walls_is_in_the_energy(solver):
 
 
 @pytest.mark.parametrize("conductivity", [0.3, np.diag([0.3, 0.1, 1.0])])
-def test_conduction_at_rest_is_that_of_the_heat_equation(conductivity):
+def test_conduction_at_rest_solves_the_heat_equation(conductivity):
     """The temperature theta_R + 10 cos(pi x) decays by kappa pi^2/c; without expansion nothing moves."""
     material = nv.Thermal(material=nv.LinearElastic(K_e=1e3, G_e=1e3), c=2.0, theta_R=100.0)
     model = nv.Model(material=material, heat=nv.Heat(conductivity=conductivity))
@@ -190,14 +190,14 @@ class Hidden(Drag):
         return [Entry("dissipation_drag", "dissipation", Integrand(2.0 * square(u.v)))]
 
 
-def test_a_method_with_a_name_of_before_is_refused_with_the_new_one():
+def test_an_outdated_method_name_is_refused_with_the_new_name():
     for before, now in (("nodes", "collocated"), ("dissipated_at_nodes", "dissipated_collocated")):
         with pytest.raises(nv.ParameterError, match=rf"Old\.{before}.*{now}"):
             type("Old", (PointTerm,), {before: lambda term, u: []})
 
 
 @pytest.mark.parametrize("solver", ["coupled", "split"])
-def test_what_further_terms_dissipate_is_heat_or_refused(solver):
+def test_the_dissipation_of_a_user_s_term_becomes_heat_or_is_refused(solver):
     laws = {"viscosity": VISCOSITY}
     ledger = run_of(solver, laws=laws, terms=[Drag()], scheme="midpoint").ledger
     lost = ledger.column("dissipation_drag")
@@ -229,7 +229,7 @@ def test_a_mechanism_that_takes_entropy_away_is_warned_of_by_name():
     assert abs(ledger.column("closure_relative")).max() <= 1e-10  # the ledger alone does not show the fault
 
 
-def test_entropy_that_is_zero_has_rounding():
+def test_an_entropy_of_zero_is_judged_by_its_rounding():
     """A solid at its reference temperature is compressed adiabatically and uniformly: entropy stays zero, and
     its production is rounding."""
     run = nv.Simulation(
@@ -251,7 +251,7 @@ def test_entropy_that_is_zero_has_rounding():
 
 
 @pytest.mark.filterwarnings("ignore:.*of the present momentum")
-def test_a_wall_of_a_huge_heat_transfer_coefficient_has_the_rounding_of_its_exchange():
+def test_a_huge_heat_transfer_coefficient_is_judged_by_the_rounding_of_its_exchange():
     """The exchange is coefficient times a difference of temperatures in their last digits."""
     walls = {"left": 400.0, "right": 300.0}
     run = nv.Simulation(
@@ -280,7 +280,7 @@ def test_a_wall_of_a_huge_heat_transfer_coefficient_has_the_rounding_of_its_exch
     assert power == pytest.approx(50.0 * 1e4 * 0.01, rel=1e-2)  # W/m
 
 
-def test_what_the_diffusion_of_fields_dissipates_is_heat_in_the_coupled_solver():
+def test_the_dissipation_of_field_diffusion_becomes_heat_in_the_coupled_solver():
     gas = nv.Thermal(c=3.0, gruneisen=0.4, theta_R=1.0)
     options = {"material": gas, "laws": {"regularisation": nv.Regularisation(delta_fields=1e-2)}}
     ledger = run_of("coupled", nv.Heat(numerical_heating=True), **options).ledger
@@ -379,7 +379,7 @@ def test_bodies_keep_their_energy_and_gain_entropy_in_both_solvers(kind, other):
     assert found[0] == pytest.approx(found[1], rel=1e-8)
 
 
-def test_a_body_that_is_heated_is_warmer_than_the_other():
+def test_a_heated_body_becomes_warmer_than_the_other_body():
     """The right half, c = 1, is heated by 2 W/m^3 for 0.05 s, by 0.1 K; the left half is not heated."""
     pair = ({"c": 3.0}, {"c": 1.0})
     bodies = bodies_of(pair, heat=nv.Heat(source=2.0))

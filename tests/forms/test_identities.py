@@ -127,7 +127,7 @@ def test_creep_power_is_a_square(case: Case) -> None:
 
 
 @by_case
-def test_creep_leaves_the_jacobian_alone(case: Case) -> None:
+def test_creep_does_not_change_the_jacobian(case: Case) -> None:
     step = step_of(case)
     if not case.creep or "J" not in step.now.z_tensors:
         return
@@ -171,7 +171,7 @@ def check_against_stress(case: Case, values: dict) -> None:
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_elastic_force_of_a_linear_strain_is_the_stress_s(dim: int) -> None:
+def test_elastic_force_of_a_linear_strain_equals_that_of_the_stress(dim: int) -> None:
     """E is continuous and in P_1: T = S + phi I varies in space, and B_h is exact for E."""
     E = CF((0.2 * x, 0.1 * y, 0, 0.1 * y, -0.1 * x, 0, 0, 0, 0.3 * y), dims=(3, 3))
     check_against_stress(Case(dim=dim, material="linear", p=None), {"E": E + 0.1 * Id(3)})
@@ -179,13 +179,13 @@ def test_elastic_force_of_a_linear_strain_is_the_stress_s(dim: int) -> None:
 
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("m", [0, 1])
-def test_elastic_force_of_a_uniform_distortion_is_the_stress_s(dim: int, m: int) -> None:
+def test_elastic_force_of_a_uniform_distortion_equals_that_of_the_stress(dim: int, m: int) -> None:
     F = Id(3) + 0.3 * OuterProduct(CF((1, 0.5, 0)), CF((0.2, 1, 0)))
     case = Case(dim=dim, m=m, p=None)
     check_against_stress(case, {"F": F, "J": CF(1.4)})
 
 
-def test_stokes_force_is_that_of_the_viscosities() -> None:
+def test_stokes_force_has_both_viscosities() -> None:
     """The force is int (K_v tr eps I + 2 G_v dev eps) : eps(w), also in 2D with the deviator of the 3x3
     tensor."""
     for dim in (2, 3):

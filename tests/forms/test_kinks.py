@@ -69,7 +69,7 @@ def test_a_fixed_wall_may_be_a_polygon():
 @pytest.mark.parametrize(
     "wall", [nv.Slip(), nv.NavierFriction(1.0), nv.Traction(f=(-y, x))], ids=lambda wall: type(wall).__name__
 )
-def test_a_polygon_has_to_be_declared(wall):
+def test_a_polygonal_wall_has_to_be_declared(wall):
     mesh = polygon(8, 0.3)
     with pytest.raises(nv.MeshError, match="45 degrees"):
         Walls(mesh, {"wall": wall})
@@ -80,7 +80,7 @@ def test_a_polygon_has_to_be_declared(wall):
 
 @pytest.mark.parametrize("wall", [nv.Slip(straight=True), nv.Traction(f=(-y, x), straight=True)])
 @pytest.mark.parametrize("mesh", [lambda: polygon(5, 0.5), lambda: disc(1, 0.5)], ids=["corners", "curved"])
-def test_declaring_a_wall_that_is_no_polygon_is_refused(mesh, wall):
+def test_a_wall_declared_as_a_polygon_that_is_none_is_refused(mesh, wall):
     """On such a wall, the declaration would have no effect."""
     with pytest.raises(
         nv.ParameterError, match=r"walls\['wall'\]\.straight = True: expected False, .* not bent"
@@ -123,14 +123,14 @@ def warnings_of(run, until):
     return [str(one.message) for one in said if one.category is nv.InputWarning]
 
 
-def test_a_lid_that_is_fast_in_a_corner_cell_is_reported_with_the_rate_there():
+def test_a_fast_lid_in_a_corner_cell_is_reported_with_its_rate():
     """In cells of 0.25 m, the lid's velocity falls from 1 m/s to 0 along one cell."""
     (said,) = warnings_of(cavity(structured_box((1, 1), (4, 4)), 1.0), 0.3)
     assert "div v = -4 1/s at (1, 1) m" in said or "div v = 4 1/s at (0, 1) m" in said
     assert "split_corners" in said
 
 
-def test_nothing_is_said_of_short_runs_slow_corners_and_divided_cells():
+def test_short_runs_slow_corners_and_divided_cells_bring_no_warning():
     mesh = structured_box((1, 1), (4, 4))
     assert not warnings_of(cavity(mesh, 1.0), 0.1)  # the density grows by less than the factor e
     assert not warnings_of(cavity(mesh, 0.1 * 16 * x**2 * (1 - x) ** 2), 0.1)

@@ -104,7 +104,7 @@ def test_a_restart_continues_the_outlines(tmp_path):
     )
 
 
-def test_undone_steps_leave_distances_alone():
+def test_an_undone_step_restores_the_distances():
     one = run()
     one.run(0.1)
     before = one.passive.arrays()["distance_disc"]

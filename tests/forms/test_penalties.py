@@ -56,7 +56,7 @@ def test_diffusion_levels_a_step_of_the_density_as_fick_has_it():
 
 
 @pytest.mark.parametrize("m", [1, 2])
-def test_the_diffusion_of_fields_takes_a_jump_by_its_penalty(m):
+def test_field_diffusion_lowers_a_jump_by_its_penalty(m):
     """The mesh has two triangles with constant fields: each side loses delta s/h C [zeta]^2/4 by the
     penalty, beside the loss by the slope."""
     B, gamma, found = 10.0, 1.4, {}

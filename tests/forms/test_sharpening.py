@@ -78,7 +78,7 @@ MESHES = {
 
 @pytest.mark.parametrize("material", [LINEAR, TWO_TENSORS])
 @pytest.mark.parametrize("mesh", MESHES)
-def test_masses_sum_of_amounts_and_energy_are_kept(material, mesh, monkeypatch):
+def test_sharpening_keeps_masses_the_sum_of_amounts_and_the_energy(material, mesh, monkeypatch):
     monkeypatch.setattr(Determinants, "restore", lambda self, u, masses: None)
     step, bounds = smeared(material, *MESHES[mesh]())
     z, sampler = step.now.z_tensors, bounds.sampler
@@ -145,7 +145,7 @@ def restored(material, factors):
 
 
 @pytest.mark.filterwarnings("ignore::ngvisco.InputWarning")  # B alone has a stress at rest
-def test_determinants_follow_from_the_volume():
+def test_restored_determinants_are_the_power_of_the_volume():
     """det B = J^2 for B itself, with J = 1/N; the tensors of the other tests have the determinant one."""
     material = nv.CustomMaterial(
         transported=(LeftCauchyGreen(), Jacobian()),
@@ -169,7 +169,7 @@ def test_determinants_are_only_lowered_where_moduli_vary():
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_tensors_keep_their_slopes_in_cells(dim, rng):
+def test_sharpened_tensors_keep_their_slopes_in_cells(dim, rng):
     """The quotient of a linear X and a uniform n is X/n, up to the trace of matter that bounds it."""
     linear = rng.uniform(1, 2, (2, 20, dim + 1))
     B = quotients(np.full(linear.shape[1:], 0.5), 0.5 * linear, np.ones(20))
@@ -193,7 +193,7 @@ def test_shares_of_simplices_are_those_of_many_points(rng, dim):
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_shares_with_a_linear_weight(rng, dim):
+def test_shares_behind_a_plane_are_exact_with_a_linear_weight(rng, dim):
     """The volume of a body of revolution has the weight r; ``level`` finds the plane of such a share."""
     points, radii = rng.dirichlet(np.ones(dim + 1), 400_000), rng.uniform(0, 1, (6, dim + 1))
     radii[0, 1:] = 0.0  # all corners but one are on the axis
@@ -220,7 +220,7 @@ def test_corners_are_followed_along_the_arcs_of_a_turn(rng, dim):
     assert start == pytest.approx(corners @ turn @ slope, abs=phi**3 / 5 * np.sqrt(2) * np.linalg.norm(slope))
 
 
-def test_stages_carry_their_shares_of_the_step():
+def test_stages_carry_amounts_by_their_shares_of_the_step():
     """Two stages at one state with the shares 0.3 and 0.7 carry the amounts of one stage with the share 1."""
     _, bounds = smeared()
     by = bounds.sharpening
@@ -337,7 +337,7 @@ def test_the_sign_of_an_absent_body_does_not_matter(sign):
     assert np.abs(by._means(by._values()[by._amounts]) - by._means(before)).max() < 1e-14
 
 
-def test_an_even_mixture_has_no_interface_whatever_rounding_makes_of_it(rng):
+def test_an_even_mixture_has_no_interface_in_spite_of_rounding(rng):
     """Bodies with equal fractions in all cells, up to 1e-13, stay as they are, because no slope has a
     direction."""
     step, bounds = smeared()
@@ -502,7 +502,7 @@ def strip_off(scheme, dt=0.0125):
 
 
 @pytest.mark.parametrize("scheme", ["backward-euler", "midpoint", "sdirk2"])
-def test_a_strip_goes_where_it_is_carried(scheme, monkeypatch):
+def test_a_sharp_strip_moves_with_the_flow(scheme, monkeypatch):
     """The exchange has to use the fluxes of all stages. One scheme shows that the strip goes astray without
     an exchange, and with an exchange in the wrong direction."""
     assert strip_off(scheme) < 0.03
@@ -617,7 +617,7 @@ def test_viscosities_are_in_series_across_an_interface_and_not_across_rounding(r
     assert sampler.values(tr(P)) == pytest.approx(trace, abs=1e-8)
 
 
-def test_parts_behind_planes_add_up(rng):
+def test_the_parts_of_a_cell_behind_planes_add_up(rng):
     """The parts chi_i theta_i of bodies sum to one, also of three and beside undershoots; two bodies with
     equal fractions have 1/2 each, and a body with a fraction <= 0 has none."""
     fractions = Fractions(("a", "b", "c"))
@@ -663,7 +663,7 @@ def test_a_film_bears_the_traction_of_its_thickness(solver, monkeypatch):
         assert pulled_by_a_film(solver)[0] > 1.07
 
 
-def test_a_thin_film_takes_no_more_than_the_stress():
+def test_a_thin_film_bears_no_more_than_its_stress():
     """The fluid's viscosity is 5000 times less than the modulus times the step. When a film took more than
     the body's shear stress in a step, the sign of the stress changed, and such runs ended."""
     thin = nv.StokesViscosity(K_v=0.1, G_v=1e-5)

@@ -55,7 +55,7 @@ def test_friction_brakes_and_a_traction_pulls():
     assert force[1] == pytest.approx(-0.7 * V[1] + 0.3 - 0.2 * V[1], rel=0.01)
 
 
-def test_what_flows_in_brings_its_momentum():
+def test_inflow_brings_its_momentum():
     """A fluid at rest has an inlet at 0.2 m/s, which brings the momentum rho v^2 for each m^2 and second."""
     velocity, density = 0.2, 3.0
     inlet = nv.Inflow(velocity=(velocity, 0.0), density=density)
@@ -129,7 +129,7 @@ def test_plastic_strain_grows_by_the_equivalent_rate():
     assert run.fields["plastic_strain"](at) == pytest.approx(np.sqrt(2 / 3) * rate * 0.01, rel=0.02)
 
 
-def test_what_is_hot_presses_outward():
+def test_hot_matter_presses_outward():
     """The pressure is Gamma c (theta - theta_R) = K alpha (theta - theta_R) as long as nothing has moved."""
     material = nv.Thermal(material=SOLID, c=2.0, theta_R=300.0, expansion=1e-3)
     start = nv.Initial(temperature=350.0)
@@ -173,7 +173,7 @@ def test_a_wall_that_gives_energy_is_named(monkeypatch):
         pushed(nv.Open(), nv.Open(impedance=(1.0, 0.5)), (0.2, 0.1))
 
 
-def test_what_anisotropic_viscosities_dissipate_is_judged_as_a_whole():
+def test_dissipation_of_anisotropic_viscosities_is_judged_by_its_sum():
     """The part of the pressure in an anisotropic viscosity may be negative by itself."""
     D = np.diag([1.0, 0.1, 0.1, 0.1, 0.1, 0.1])
     law = nv.LinearViscosity(D=D, notation="mandel")

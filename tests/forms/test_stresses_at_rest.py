@@ -41,7 +41,7 @@ def differences(warned):
 
 
 @pytest.mark.parametrize("state", "FB")
-def test_a_stress_at_rest_that_open_walls_do_not_bear_is_said_before_the_first_step(state):
+def test_an_unbalanced_stress_at_rest_is_warned_of_before_the_first_step(state):
     """With the stated difference of stresses a bar moves off at metres a second; with the pressure that the
     warning recommends it stays."""
     for pull in (0.0, 1.0):
@@ -57,7 +57,7 @@ def test_a_stress_at_rest_that_open_walls_do_not_bear_is_said_before_the_first_s
 
 
 @pytest.mark.parametrize("state", "FB")
-def test_what_is_borne_and_what_has_no_stress_at_rest_bring_no_warning(state, recwarn):
+def test_balanced_walls_and_materials_without_stress_at_rest_bring_no_warning(state, recwarn):
     between(PAPER[state], pressure=-AT_REST)
     between(PAPER[state], pressure=-AT_REST * 1.009)
     for wall in ({}, {"pressure": -1.0}, {"traction": (1.0, 0.0)}, {"stiffness": (1.0, 1.0)}):
@@ -73,7 +73,7 @@ def test_what_is_borne_and_what_has_no_stress_at_rest_bring_no_warning(state, re
 
 
 @pytest.mark.parametrize("resists", ["impedance", "stiffness"])
-def test_what_dashpots_and_springs_bear_at_the_start_counts(resists, recwarn):
+def test_dashpots_and_springs_count_in_the_balance_at_the_start(resists, recwarn):
     """Dashpots bear 2 Pa at 0.1 m/s, and springs at 0.1 m; the pressures are off by 2 Pa in either
     direction."""
     walls = {
@@ -89,12 +89,12 @@ def test_what_dashpots_and_springs_bear_at_the_start_counts(resists, recwarn):
     assert not recwarn.list
 
 
-def test_one_per_cent_of_the_stress_at_rest_is_the_bound():
+def test_a_difference_above_one_per_cent_of_the_stress_at_rest_is_warned_of():
     with pytest.warns(nv.InputWarning, match="stress of the matter at rest"):
         between(PAPER["B"], pressure=-AT_REST * 1.011)
 
 
-def test_a_gas_is_warned_of_where_nothing_presses_it(recwarn):
+def test_a_gas_beside_an_open_wall_without_pressure_is_warned_of(recwarn):
     between(GAS, pressure=1.5)  # let in, 0.5 Pa above its pressure
     between(GAS, pressure=0.5)
     assert not recwarn.list

@@ -54,7 +54,7 @@ def thrust(step, *kinds):
 
 
 @pytest.mark.parametrize("material", MATERIALS.values(), ids=MATERIALS.keys())
-def test_jumps_leave_no_thrust(material):
+def test_jumps_of_the_state_cause_no_net_force(material):
     step = jumping(material)
     size = abs(rows(step, ElasticForce)).sum()
     alone, kept = (np.abs(thrust(step, *kinds)).max() / size for kinds in KINDS)

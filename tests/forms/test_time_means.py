@@ -37,7 +37,7 @@ def mean(value, begin=0.0, length=0.1):
 
 
 @pytest.mark.parametrize("value", [CF(T), 2 * T, -T, T / 2, 3 * sin(T), x * (2 * T), CF((2 * T, 0.0))])
-def test_the_time_is_found_in_a_function(value):
+def test_a_function_is_known_to_depend_on_time(value):
     """NGSolve shortens the name of a multiple of the time: 2 t was taken for a constant, and not
     averaged."""
     assert may_read_time(value) and not may_read_time(2 * x)
@@ -53,7 +53,7 @@ def test_means_are_exact_to_the_tolerance(name):
 
 
 @pytest.mark.parametrize("tilt", [-0.2, 0.5])
-def test_a_tilted_mean_of_what_is_linear_in_time_is_its_value(tilt):
+def test_a_tilted_mean_of_a_function_linear_in_time_is_its_value(tilt):
     """The mean of a pulse is its share of the step, a tenth, times the weight at its place, 1 + 12 tilt
     (0.35 - 0.5)."""
     found = []
@@ -65,7 +65,7 @@ def test_a_tilted_mean_of_what_is_linear_in_time_is_its_value(tilt):
     assert found[1] == pytest.approx(0.1 * (1 - 1.8 * tilt), rel=10 * TOLERANCE)
 
 
-def test_a_front_that_moves_is_said_not_to_be_resolved():
+def test_a_moving_front_is_reported_as_unresolved():
     """The function jumps at each place at another time: its error is that of 50 panels, which is known."""
     front = IfPos(x - 10 * T, 1.0, 0.0)
     found, error = mean(front)
@@ -73,7 +73,7 @@ def test_a_front_that_moves_is_said_not_to_be_resolved():
     assert abs(found - 0.3) <= 0.1  # a polynomial of third degree across jumps within a cell
 
 
-def test_a_table_is_read_from_a_file(tmp_path):
+def test_a_table_of_time_is_read_from_a_file(tmp_path):
     path = tmp_path / "load.csv"
     path.write_text("time, east, north\n0, 1, 0\n\n0.5, 3, 1\n2, 0, 1\n")
     load = nv.table(path)
@@ -125,7 +125,7 @@ def momentum_of(load, scheme="backward-euler", solver="coupled", steps=1):
     ids=["pulse", "step", "step within", "table", "conditions"],
 )
 @pytest.mark.parametrize("scheme", ["backward-euler", "midpoint", "sdirk2"])
-def test_the_momentum_is_the_loads_impulse(load, expected, scheme):
+def test_the_gained_momentum_is_the_impulse_of_the_load(load, expected, scheme):
     """With two Gauss points, the pulse gave 0, and the step function had an error of 0.1. With loads at the
     times of stages, SDIRK2 was equally wrong."""
     assert momentum_of(load, scheme) == pytest.approx(expected, rel=1e-8)
@@ -135,7 +135,7 @@ def test_the_split_solver_has_the_same_loads():
     assert momentum_of(100 * nv.pulse(0.03, 0.01), solver="split", steps=2) == pytest.approx(1.0, rel=1e-8)
 
 
-def test_a_traction_counts_by_its_mean():
+def test_a_traction_acts_by_its_mean_over_the_step():
     """A pulse on one wall and a table on the other give the velocities that constant tractions give."""
     top, bottom = 100 * nv.pulse(0.03, 0.01), nv.table([0, 0.1], [0, 1])
     found = []
@@ -149,7 +149,7 @@ def test_a_traction_counts_by_its_mean():
     assert found[0] == pytest.approx(found[1], rel=1e-7) and found[1][0] > 1
 
 
-def test_a_load_that_is_not_resolved_is_said_once():
+def test_an_unresolved_load_is_warned_of_once():
     """A front that crosses the body makes the load jump at each place at another time."""
     front = CF((IfPos(x - 10 * nv.time, 1.0, 0.0), 0))
     model = nv.Model(loads=[nv.Gravity(front)], **MODEL)

@@ -23,7 +23,7 @@ def run_of(k, m, cells=(4, 4), solver="coupled", **start):
 
 
 @pytest.mark.parametrize(("k", "m"), [(2, 0), (3, 0), (3, 1), (2, 1), (3, 2)])
-def test_the_column_is_of_orders_that_feel_not_all(k, m):
+def test_only_orders_with_unfelt_motion_have_the_column(k, m):
     run = run_of(k, m)
     with warnings.catch_warnings():
         warnings.simplefilter("error", nv.InputWarning)
@@ -39,7 +39,7 @@ def test_unfelt_energy_of_smooth_motion_is_of_fourth_order():
     assert 12 < sizes[0] / sizes[1] < 20
 
 
-def test_motion_within_cells_is_measured_and_said_once():
+def test_motion_within_cells_is_measured_and_warned_of_once():
     """The velocity is random, and made of functions of edges alone."""
     run = run_of(2, 0)
     v = run.rothe_step.state.components[run.rothe_step.layout.names.index("v")]
@@ -75,7 +75,7 @@ def bodies(of_disc, of_rest):
         (bodies(FAINT, None), "a shear viscosity of the body 'rest', since with"),
     ],
 )
-def test_motion_that_nothing_holds_is_refused_with_the_remedy(k, m, laws, whose):
+def test_unfelt_motion_without_viscosity_is_refused_with_the_remedy(k, m, laws, whose):
     expected = (
         rf"Discretisation.m = {m}: expected {k - 1}, or nv.Discretisation\(k={m + 1}, m={m}\), or {whose}"
     )
@@ -86,9 +86,9 @@ def test_motion_that_nothing_holds_is_refused_with_the_remedy(k, m, laws, whose)
 @pytest.mark.parametrize(
     "laws", [{"hyperviscosity": nv.HyperViscosity(mu=1e-4)}, {"viscosity": FAINT}, bodies(FAINT, FAINT)]
 )
-def test_a_viscosity_that_holds_the_motion_is_accepted(laws):
+def test_unfelt_motion_with_viscosity_is_accepted(laws):
     small_run(discretisation=nv.Discretisation(m=0), **laws)
 
 
-def test_orders_that_feel_all_need_no_viscosity():
+def test_orders_without_unfelt_motion_need_no_viscosity():
     small_run(discretisation=nv.Discretisation(k=1, m=0))

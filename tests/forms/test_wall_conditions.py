@@ -151,7 +151,7 @@ def test_normal_part_of_a_traction_is_powerless():
     assert run.run(0.01).column("v_max")[-1] < 1e-12
 
 
-def test_a_start_velocity_through_walls_is_projected_and_that_is_said_once():
+def test_a_start_velocity_through_walls_is_projected_with_one_warning():
     initial = nv.Initial(velocity=(x, 0.0))
     with pytest.warns(
         nv.InputWarning,
@@ -171,7 +171,7 @@ def test_a_start_velocity_through_walls_is_projected_and_that_is_said_once():
         nv.PrescribedTangential((0, IfPos(nv.time - 0.3, 1, 0))),
     ],
 )
-def test_wall_data_are_looked_at_over_the_run_s_time(wall):
+def test_wall_data_are_checked_over_the_time_of_the_run(wall):
     run = nv.Simulation(box((1, 1), 0.5), model(), dt=0.1, walls={"top": wall})
     with pytest.raises(nv.ParameterError, match=r"walls\['top'\]"):
         run.run(0.4)

@@ -59,7 +59,7 @@ def free_vertices(mesh: Mesh) -> list[bool]:
     ],
     ids=str,
 )
-def test_names_with_signs_of_regular_expressions_mean_themselves(names: tuple[str, str, str, str]) -> None:
+def test_wall_names_are_not_regular_expressions(names: tuple[str, str, str, str]) -> None:
     """A pattern "a.b" would also match "axb", and constrain a wall in a wrong direction."""
     mesh, plain = named_square(names), named_square(("left", "right", "bottom", "top"))
     assert axis_parallel_walls(mesh)[0] == [sorted(set(names[:2])), sorted(set(names[2:]))]

@@ -97,7 +97,7 @@ def test_an_unknown_body_that_flows_in_is_named():
         stream(walls={"right": nv.Open(amounts={"medum": 1.0})})
 
 
-def test_backflow_is_a_dissipation_in_every_step_whatever_side_was_expected():
+def test_backflow_dissipates_in_every_step_on_either_side():
     swirl = (0.3 * sin(pi * x) * cos(pi * y), -0.3 * cos(pi * x) * sin(pi * y))
     walls = {"left": nv.Open(density=1.0), "right": nv.Open(density=1.0, impedance=(1.0, 0.5))}
     model = nv.Model(material=FLUID, viscosity=VISCOUS)
@@ -121,7 +121,7 @@ STRESSED = {
 
 @pytest.mark.parametrize("solver", ["split", "coupled"])
 @pytest.mark.parametrize("state", STRESSED)
-def test_a_stressed_body_goes_on_through_windows_as_it_is(state, solver):
+def test_a_stressed_body_leaves_through_windows_unchanged(state, solver):
     """The body is uniform and moves at 0.3 m/s, and its own stress acts on all windows, so that nothing
     changes. If matter at rest entered, it would push the body."""
     model, mesh = nv.Model(material=STRESSED[state]), box((1, 0.7), 0.5)
@@ -145,7 +145,7 @@ def test_a_stressed_body_goes_on_through_windows_as_it_is(state, solver):
     assert abs(ledger.column("mass") - 1.3 * 0.7).max() < 1e-10
 
 
-def test_rest_that_flows_into_a_strained_body_has_no_thrust():
+def test_unstrained_inflow_into_a_strained_body_exerts_no_thrust():
     """The change of the momentum is at most a hundredth of the momentum that phi(0) - phi(z) would give. The
     run measures the energy lost where the body meets entering matter, and warns of it."""
     model, mesh = nv.Model(material=STRESSED["linear"]), box((1, 0.7), 0.4)
@@ -173,7 +173,7 @@ GIVEN = {
 
 
 @pytest.mark.parametrize("given", GIVEN)
-def test_stresses_that_differ_are_warned_of_in_slow_straining(given, recwarn):
+def test_different_stresses_at_an_inlet_are_warned_of_in_slow_straining(given, recwarn):
     """A strained bar moves through its windows.
 
     Where the bar meets entering matter at rest, the share of powers that is lost is half of the strain,
@@ -227,7 +227,7 @@ def test_unstrained_matter_entering_a_strained_body_brings_a_warning(amounts, re
 
 
 @pytest.mark.parametrize("solver", [by_ci("split"), "coupled"])
-def test_amounts_that_are_given_bring_their_masses(solver):
+def test_given_amounts_of_inflow_bring_their_masses(solver):
     """Three tenths of 2 kg/m^3 and seven tenths of 0.5 kg/m^3 come in at 0.2 m/s through 0.5 m: 0.06 and
     0.035 kg/s."""
     bodies = [
@@ -255,7 +255,7 @@ def test_amounts_that_are_given_bring_their_masses(solver):
 
 
 @pytest.mark.parametrize("solver", ["split", "coupled"])
-def test_a_temperature_that_is_given_has_the_entropy_of_the_volume_that_is_there(solver):
+def test_a_given_inflow_temperature_has_the_entropy_at_the_present_volume(solver):
     through = nv.Inflow(velocity=(1.0, 0.0), temperature=330.0)
     initial = nv.Initial(density=1.0, F=1.1 * Id(3), velocity=(1.0, 0.0), temperature=330.0)
     model, walls = nv.Model(material=WARM, viscosity=VISCOUS), {("left", "right"): through}
@@ -339,7 +339,7 @@ def test_a_ball_flies_out_through_a_window_with_its_medium(solver):
 @pytest.mark.long
 @pytest.mark.ci
 @pytest.mark.parametrize("solver", ["split", "coupled"])
-def test_bodies_of_different_bulk_moduli_have_the_pressure_of_the_window(solver):
+def test_bodies_of_different_bulk_moduli_reach_the_pressure_of_the_window(solver):
     """The pressure is 0.05 Pa. A wrong boundary term would lack the medium's energy at this pressure, 0.0025
     Pa."""
     walls = {("left", "right"): nv.Open(pressure=0.05)}
@@ -472,7 +472,7 @@ def filled(solver, scheme="backward-euler", grown=1.0, as_body=False, **fluid):
     return run.fields["density"](run.mesh(1.3, 0.2)), run.fields["velocity"](run.mesh(1.3, 0.2))[0]
 
 
-def test_a_density_that_nothing_determines_is_warned_of_once_a_hundredth_of_the_mass_is_in():
+def test_an_undetermined_inflow_density_is_warned_of_after_a_hundredth_of_the_mass():
     """The fluid rests for 1 s and then enters. A warning that multiplies a step's inflow by the time since
     the start would come too early."""
     pressure = 1 + 0.1 * IfPos(nv.time - 1.0, 1.0, 0.0)
@@ -501,20 +501,20 @@ def test_a_density_that_nothing_determines_is_warned_of_once_a_hundredth_of_the_
         ("coupled", "midpoint", "A"),
     ],
 )
-def test_a_fluid_of_known_density_comes_in_as_its_wall_s_pressure_says(solver, scheme, form):
+def test_a_fluid_of_known_density_enters_at_the_pressure_of_the_wall(solver, scheme, form):
     """Density and volume are right to 1e-3, also when the pressure grows with time."""
     grown = 1 - exp(-nv.time) if form == "A" else 1.0
     assert filled(solver, scheme, grown, form=form, rho_R=1.0) == pytest.approx((1.25, 0.25), rel=1e-3)
 
 
-def test_the_amount_of_a_body_that_comes_in_at_a_pressure_is_the_one_of_that_pressure():
+def test_a_body_enters_with_the_amount_that_belongs_to_the_wall_s_pressure():
     """Density and volume of a body are functions of its amount alone, so that no rho_R is needed."""
     assert filled("split", as_body=True) == pytest.approx((1.25, 0.25), rel=1e-3)
 
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_where_nothing_tells_the_density_it_is_that_of_the_first_inflow():
+def test_an_undetermined_inflow_density_keeps_the_value_of_the_first_inflow():
     """A control: rho J differs from its start by a few per cent where the shock was, and a run warns of
     this."""
     with pytest.warns(nv.InflowWarning, match="through 'left' at a pressure.*give rho_R"):
@@ -536,12 +536,12 @@ def test_a_gas_has_a_volume_at_every_pressure(pressure):
     assert rho == pytest.approx(3.0 / J, rel=1e-12)
 
 
-def test_values_of_rest_let_in_under_a_pressure_are_warned_of():
+def test_inflow_values_at_rest_under_a_pressure_are_warned_of():
     with pytest.warns(nv.InflowWarning, match="through 'left' with the given values of J has another stress"):
         let_in(0.3, density=1.0, values={"J": CF(1.0)})
 
 
-def test_values_that_belong_to_the_pressure_are_not_warned_of(recwarn):
+def test_inflow_values_that_belong_to_the_pressure_bring_no_warning(recwarn):
     let_in(0.3, density=1.25, values={"J": CF(0.8)})
     assert not [w for w in recwarn if issubclass(w.category, nv.InflowWarning)]
 
@@ -590,7 +590,7 @@ PULLED = [
 
 
 @pytest.mark.parametrize(("dim", "scheme", "solver"), PULLED)
-def test_a_piston_all_around_a_disc_or_a_ball_widens_it(dim, scheme, solver):
+def test_a_piston_around_a_disc_or_a_ball_widens_it(dim, scheme, solver):
     """Walls that move by V t give E = V t^2/2 I and the pressure -dim (K + G/3 (3 - dim)) V t^2/2, up to
     V^2."""
     V, dt, end = 1e-3, 0.25, 0.5
@@ -623,7 +623,7 @@ def test_a_piston_all_around_a_disc_or_a_ball_widens_it(dim, scheme, solver):
 
 
 @pytest.mark.parametrize("velocities", [(2e-3, 0.0), (1e-3, 1e-3)])
-def test_pistons_on_oblique_walls_have_each_the_power_of_their_own(velocities):
+def test_each_piston_on_an_oblique_wall_has_its_own_power(velocities):
     """A bar at 30 degrees is pulled by both ends or by one end; in the end the force is that of uniaxial
     strain."""
     bar = WorkPlane().Rectangle(1, 0.7).Face()
@@ -654,7 +654,7 @@ def test_pistons_on_oblique_walls_have_each_the_power_of_their_own(velocities):
 
 
 @pytest.mark.parametrize(("m", "solver"), [by_ci(1, "split"), (1, "coupled"), by_ci(2, "split")])
-def test_a_slope_does_not_go_on_beyond_an_inlet(m, solver):
+def test_inflow_does_not_extrapolate_the_slope_of_the_density(m, solver):
     """Matter of density 1 to 1.3 flows through the box twelve times; the density stays in this range, and
     becomes steady."""
     walls = {("left", "right"): nv.Inflow(velocity=(1.0, 0.0))}

@@ -77,7 +77,7 @@ def test_quadrilaterals_become_triangles():
         lambda split: g.structured_box((1, 1, 1), (2, 2, 2), split_corners=split),
     ],
 )
-def test_geometries_divide_where_they_are_asked_to(make):
+def test_geometries_divide_corner_cells_on_request(make):
     assert not corner_cells(make(True))
     with pytest.raises(ParameterError, match="split_corners"):
         make("yes")
@@ -114,6 +114,6 @@ def test_identified_boundaries_make_no_corners():
     ("walls", "said"),
     [(["top"], "mapping"), ({"top": -1}, "top.*>= 0"), ({"top": 1.5}, "top.*>= 0"), ({"lid": 1}, "lid")],
 )
-def test_corners_of_a_wall_that_is_none_are_refused(walls, said):
+def test_corners_of_an_unknown_wall_are_refused(walls, said):
     with pytest.raises(NgviscoError, match=said):
         g.refine_corners(g.structured_box((1, 1), (2, 2)), walls)

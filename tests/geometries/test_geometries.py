@@ -72,7 +72,7 @@ def test_a_domain_is_the_same_in_every_unit_of_length(name):
         assert refined == pytest.approx(volume, rel=1e-12 if straight else 3e-3)
 
 
-def test_a_mesh_that_may_crash_netgen_is_tried_in_another_process():
+def test_a_mesh_that_may_crash_netgen_is_made_in_another_process():
     mesh = g.box((1, 5e-4), 0.5)
     assert Integrate(CF(1.0), mesh) == pytest.approx(5e-4, rel=1e-10)
     from ngvisco.geometries import meshing

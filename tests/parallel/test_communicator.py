@@ -35,7 +35,7 @@ def test_errors_are_the_same_in_other_processes(error):
     assert {name: vars(copy)[name] for name in kept} == kept
 
 
-def test_processes_that_cannot_meet_are_refused(monkeypatch):
+def test_mpirun_and_mpi4py_of_different_mpis_are_refused(monkeypatch):
     """If mpirun and mpi4py belong to different MPIs, each process would do the whole run."""
     monkeypatch.setenv("OMPI_COMM_WORLD_SIZE", "3")
     with pytest.raises(MPIError, match="mpirun started 3 processes"):
@@ -45,7 +45,7 @@ def test_processes_that_cannot_meet_are_refused(monkeypatch):
 @pytest.mark.long
 @pytest.mark.ci
 @needs_petsc
-def test_first_rank_has_all_sums_and_sleeps_while_it_waits():
+def test_the_first_rank_has_all_sums_and_sleeps_while_it_waits():
     """MPI's own waiting would take the whole processor."""
     last = printed(Path(__file__).with_name("following.py"), ranks=3)
     assert last["found"] == 3 * [5 * [[0.0, 3.0, 6.0], [3.0, 2.0]]]

@@ -14,7 +14,7 @@ from ngvisco.cli.main import main
 @pytest.mark.long
 @pytest.mark.ci
 @pytest.mark.parametrize("ranks", [1, 2])
-def test_a_step_is_taken_where_all_is_there(ranks):
+def test_info_takes_a_step_if_all_packages_are_installed(ranks):
     """Without mpirun the command starts three ranks; under mpirun it takes a step on the given ranks."""
     found = run("-m", "ngvisco", "info", "--parallel", ranks=ranks)
     assert found.returncode == 0, found.stderr
@@ -27,7 +27,7 @@ def test_a_step_is_taken_where_all_is_there(ranks):
 @needs_petsc
 @pytest.mark.long
 @pytest.mark.ci
-def test_the_page_s_command_divides_a_run(tmp_path):
+def test_the_command_of_the_page_distributes_a_run(tmp_path):
     """The printed command runs, also on a machine with fewer slots than ranks."""
     (printed,) = re.findall(r"`mpirun ([^`]*)`", (ROOT / "ngvisco/parallel/RANKS.md").read_text())
     (tmp_path / "case.toml").write_text(A_BODY + A_SWIRL + TWO_STEPS + NO_VTK)
@@ -48,7 +48,7 @@ def test_a_missing_package_is_named(capsys, monkeypatch):
     assert "petsc4py is missing" in said and "not tried" in said
 
 
-def test_info_is_of_a_directory_or_of_the_installation(capsys, tmp_path):
+def test_info_describes_a_directory_or_the_installation(capsys, tmp_path):
     expected = {
         (): "a run directory, or --parallel",
         (str(tmp_path), "--parallel"): "no directory together with --parallel",

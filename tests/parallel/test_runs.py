@@ -167,7 +167,7 @@ def assert_same_tables(one, several, of=1e-10):
         ),
     ],
 )
-def test_ledgers_and_tables_are_those_of_one_process(group, ranks):
+def test_ledgers_and_tables_over_ranks_equal_those_of_one_process(group, ranks):
     """The split solver's linear systems take at most 1.1 times as many iterations in all."""
     names = GROUPS[group].split("; ")
     for name in names:
@@ -204,7 +204,7 @@ error that linear volumes on cells of 0.3 m, in space 0.6 m, may have."""
         pytest.param(tuple(AT_REST)[-1:], 4, marks=pytest.mark.long),
     ],
 )
-def test_a_start_at_rest_is_that_of_one_process(names, ranks):
+def test_a_start_at_rest_over_ranks_equals_that_of_one_process(names, ranks):
     """Pressure and density at the start agree to 1e-12, and bear the weight above."""
     for name in names:
         one, several = found(1, *names)[name], found(ranks, *names)[name]
@@ -343,7 +343,7 @@ def test_a_run_goes_on_to_the_bit_with_as_many_ranks(case_file, tmp_path, case, 
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_a_run_on_ranks_goes_on_changed_and_from_another_mesh(case_file, tmp_path):
+def test_a_run_over_ranks_is_resumed_with_changes_and_from_another_mesh(case_file, tmp_path):
     """The ledger, the costs of the change and of the transfer, and the written case are those of one
     process."""
     places = {}
@@ -473,7 +473,7 @@ for setting in settings:
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_what_is_not_distributed_is_refused_by_name(case_file, tmp_path):
+def test_parts_that_do_not_run_over_ranks_are_refused_by_name(case_file, tmp_path):
     """Every rank ends with the same code; the first rank gives the reason once, and no file is written."""
     (tmp_path / "refusing.py").write_text(REFUSING)
     result = run(tmp_path / "refusing.py", case_file, tmp_path / "run", *REFUSED, ranks=4)
@@ -521,7 +521,7 @@ method = "split"
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_a_run_that_fails_says_what_it_says_on_one_process(tmp_path):
+def test_a_failed_run_over_ranks_has_the_message_of_one_process(tmp_path):
     """The report names the place, the cell and the nearest wall, the warning of corners that walls deform,
     and its fields."""
     case, said, reports = tmp_path / "lid.toml", {}, {}

@@ -49,7 +49,7 @@ def test_every_operation_against_differences():
             assert derivative[index] == pytest.approx((quotient[0] - quotient[1]) / 2e-6, rel=1e-7, abs=1e-7)
 
 
-def test_a_trace_does_not_make_the_tensors_that_it_is_the_trace_of():
+def test_a_trace_is_computed_without_its_tensor():
     space, components = symmetric_tensors(3), Array(np.random.default_rng(1).standard_normal((6, 4)))
     B = space.tensor(components)
     trace = tr(B)
@@ -61,7 +61,7 @@ def test_a_trace_does_not_make_the_tensors_that_it_is_the_trace_of():
     assert np.allclose(slope, 2 * trace.value * of_trace[:, None], rtol=1e-14)
 
 
-def test_an_energy_that_needs_ngsolve_is_left_to_it():
+def test_an_energy_that_needs_ngsolve_is_evaluated_by_ngsolve():
     material = CustomMaterial(
         transported=(Distortion(), Jacobian()),
         stored_energy=lambda F, J: 3 * square(F) + 10 * (J - 1) * (J - 1) - 6 * ngsolve.log(J),
@@ -126,7 +126,7 @@ FORMS = {
 
 
 @pytest.mark.parametrize("name", FORMS)
-def test_factors_are_the_derivatives_by_the_tests(name):
+def test_factors_are_derivatives_with_respect_to_test_functions(name):
     form = FORMS[name]
     found = factors_of_tests(form({test: Linear(shape, test=test) for test, shape in SHAPES.items()}))
     values = {test: RNG.standard_normal((*shape, POINTS)) for test, shape in SHAPES.items()}
@@ -147,7 +147,7 @@ def test_factors_are_the_derivatives_by_the_tests(name):
         lambda t: t["w"] * A,
     ],
 )
-def test_what_is_not_linear_in_the_tests_is_refused(wrong):
+def test_a_form_not_linear_in_test_functions_is_refused(wrong):
     with pytest.raises(TypeError):
         wrong({test: Linear(shape, test=test) for test, shape in SHAPES.items()})
 
@@ -157,7 +157,7 @@ def test_an_integrand_is_a_scalar():
         factors_of_tests(u * Linear((), test="q"))
 
 
-def test_sums_do_not_change_the_values_that_they_are_made_of():
+def test_sums_do_not_change_their_terms():
     q = Linear((), test="q")
     before = s.value.copy()
     found = factors_of_tests(s * q + s * q + s * q + 1.0 * q)["q"]

@@ -25,13 +25,13 @@ def defects(material, z, traced=()):
 
 
 @pytest.mark.parametrize("name", PAIRED)
-def test_variables_of_one_distortion_have_none(name):
+def test_variables_of_one_distortion_have_no_defect(name):
     found = defects(PAIRED[name], state(PAIRED[name]))
     assert found and max(map(abs, found.values())) < 1e-12
 
 
 @pytest.mark.parametrize("name", PAIRED)
-def test_each_variable_that_parts_is_seen(name):
+def test_a_change_of_any_single_variable_is_a_defect(name):
     """Each variable in turn is wrong by 5 %. J cannot be compared with tensors of determinant one, which do
     not contain J."""
     z = state(PAIRED[name])

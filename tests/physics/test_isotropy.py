@@ -61,12 +61,12 @@ def test_anisotropic_energy_is_refused_with_a_rotation_that_shows_it():
         nv.IsotropicStrainEnergy(strain_energy=material.of)
 
 
-def test_out_of_plane_anisotropy_is_none_in_plane_strain():
+def test_out_of_plane_anisotropy_is_accepted_in_plane_strain():
     material = StrainEnergy(lambda E: square(E) + E[2, 2] * E[2, 2])
     assert nv.check_isotropy(material, dim=2).passed and not nv.check_isotropy(material, dim=3).passed
 
 
-def test_energy_of_F_is_asked_for_frame_indifference_only():
+def test_an_energy_of_F_has_to_be_frame_indifferent_only():
     """phi(Q F) = phi(F) holds for |F e_1|^2, which is not isotropic, and does not hold for tr F."""
     e = tensor(np.array([1.0, 0, 0]))
     fibre = nv.CustomMaterial(
@@ -112,7 +112,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_what_is_no_function_of_the_state_is_refused_with_the_reason(name):
+def test_an_energy_that_depends_on_more_than_the_state_is_refused_with_the_reason(name):
     energy, reason = WRONG[name]
     with pytest.raises(nv.ParameterError, match=reason) as error:
         material(energy)
@@ -121,7 +121,7 @@ def test_what_is_no_function_of_the_state_is_refused_with_the_reason(name):
         nv.IsotropicStrainEnergy(strain_energy=lambda E: energy(F=E, J=1 + E[0, 0]))
 
 
-def test_functions_of_the_state_pass():
+def test_energies_that_depend_on_the_state_alone_are_accepted():
     material(plain)
     material(lambda F, J: FACTOR * plain(F, J))  # a number that stays as it is
     nv.IsotropicStrainEnergy(strain_energy=square)
@@ -129,7 +129,7 @@ def test_functions_of_the_state_pass():
         nv.Model(material=nv.WithQuadratic(material=wrapped, delta=1e-3))
 
 
-def test_a_material_class_of_ones_own_is_looked_at_by_the_model():
+def test_the_model_checks_a_user_s_material_class():
     class Placed(nv.Material):
         @property
         def variables(self):
@@ -142,7 +142,7 @@ def test_a_material_class_of_ones_own_is_looked_at_by_the_model():
         nv.Model(material=Placed())
 
 
-def test_the_time_is_left_as_it_was():
+def test_the_checks_restore_the_time():
     nv.time.Set(0.7)
     try:
         with pytest.raises(nv.ParameterError):

@@ -16,7 +16,7 @@ def rotated(eigenvalues):
 
 @pytest.mark.parametrize("size", [1e-8, 1e-3, 1.0, 1e6])
 @pytest.mark.parametrize("spread", [0.0, 1e-15, 1e-9, 1e-3, 1.0])
-def test_the_least_of_all_is_that_of_decompositions(size, spread):
+def test_the_least_eigenvalue_equals_that_of_full_decompositions(size, spread):
     """The eigenvalues may be nearly double or triple, where the closed form loses half of the digits."""
     random = np.random.default_rng(1)
     for of_rest in (1.0, 1.0 + spread, 3.0):
@@ -31,7 +31,7 @@ def test_few_of_many_tensors_are_decomposed():
     assert 1 <= len(least_eigenvalues(tensors)) <= 3
 
 
-def test_no_tensors_have_no_eigenvalue_and_nan_stays_nan():
+def test_without_tensors_there_is_no_eigenvalue_and_nan_stays_nan():
     assert least_eigenvalues(np.zeros((0, 3, 3))).shape == (0,)
     tensors = np.tile(np.eye(3), (5, 1, 1))
     tensors[2] = np.nan

@@ -345,7 +345,7 @@ def test_hardening_has_the_documented_powers_of_strain(s, size):
     assert energy(material, {"E": E}) == pytest.approx(quadratic + hardening, rel=1e-12)
 
 
-def test_singular_part_is_linear_below_J_min_and_unchanged_above():
+def test_the_singular_part_is_linear_below_J_min_and_unchanged_above():
     plain = nv.ReferentialNeoHookean(K_e=10, G_e=5)
     material = nv.ReferentialNeoHookean(K_e=10, G_e=5, J_min=0.5)
     H = tensor(np.eye(3))
@@ -376,7 +376,7 @@ def test_energy_is_jointly_convex(name, dim):
 
 
 @pytest.mark.parametrize("exponent, convex", [(-0.5, True), (-1.0, True), (-1.6, False), (0.5, False)])
-def test_convexity_sees_an_exponent_outside_its_range(exponent, convex):
+def test_the_convexity_check_finds_an_exponent_outside_its_range(exponent, convex):
     """J^-a |F|^2 is jointly convex for 0 <= a <= 1 only."""
     material = nv.CustomMaterial(
         transported=(Distortion(), Jacobian()),
@@ -447,12 +447,12 @@ def test_table_lists_every_material_with_a_label_of_the_paper():
         (lambda J: 1 / J - J * J, False),  # for J > 1
     ],
 )
-def test_convexity_is_asked_for_in_the_energy_s_domain(energy, passes):
+def test_convexity_is_required_in_the_energy_s_domain_only(energy, passes):
     material = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=energy)
     assert nv.check_convexity(material, dim=2, warn=False).passed is passes
 
 
-def test_volumetric_energy_is_no_difference_of_large_numbers():
+def test_volumetric_energy_is_exact_near_J_of_one():
     """K_e/2 (J - 2 + 1/J) would have an error of K_e times the rounding of 1, which is 1e4 times the energy
     at J = 1 + 1e-10."""
     for J in (1 + 2.0**-33, 1 - 2.0**-33):

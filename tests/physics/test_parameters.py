@@ -17,7 +17,7 @@ from ngvisco.physics.variables import Distortion, Jacobian
 theta, chi = nv.Parameter("theta", start=x), nv.Parameter("chi", start=0.3)
 
 
-def test_expressions_are_those_of_the_values():
+def test_an_expression_of_parameters_has_the_value_of_its_formula():
     expression = 2 - (3 * theta + 1) / chi**2 + -theta * 0.5
     at = {"theta": 0.7, "chi": 1.2}
     assert expression.at(at) == pytest.approx(2 - (3 * 0.7 + 1) / 1.2**2 - 0.35, rel=1e-15)
@@ -51,7 +51,7 @@ def custom(energy=None):
     )
 
 
-def test_two_parameters_of_one_name_are_refused_wherever_they_stand():
+def test_two_parameters_of_one_name_are_refused_in_any_place():
     """A material's own variables count too; the same parameter may appear in many places."""
     one, five = nv.Parameter("chi", start=1 + x), nv.Parameter("chi", start=5 + x)
 
@@ -95,7 +95,7 @@ def test_a_body_s_own_parameters_have_its_name_once(name):
         assert parameters == [f"{name}_G_e", "rest_G_e"]
 
 
-def test_convexity_is_asked_for_in_the_strains_at_fixed_parameters():
+def test_convexity_is_required_in_the_strains_at_fixed_parameters():
     """(1 + theta) |F|^2 is not jointly convex in (F, theta), but is convex in F for every theta > -1."""
     assert nv.check_convexity(custom(), warn=False).passed
     negative = np.array([[1.0] * 10 + [-3.0]])  # a run's state whose theta makes it concave
@@ -115,7 +115,7 @@ def arrhenius(start, of_creep=None):
     return {"viscosity": viscosity, "creep": creep}
 
 
-def test_laws_that_are_given_one_function_carry_one_parameter_and_others_their_own():
+def test_laws_share_a_carried_parameter_if_they_are_given_the_same_function():
     solid = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F")
     start = 300 + 10 * x
     assert names(nv.Model(material=solid, **arrhenius(start, start))) == ["F", "J", "temperature"]
@@ -128,7 +128,7 @@ def test_laws_that_are_given_one_function_carry_one_parameter_and_others_their_o
     assert names(nv.Model(bodies=bodies))[-4:] == ["a_A", "a_A_2", "b_A", "b_A_2"]
 
 
-def test_a_temperature_that_laws_are_given_is_the_run_s_where_the_material_has_none():
+def test_a_temperature_given_to_laws_becomes_the_run_s_without_thermal_material():
     solid = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
     start = 300 + 10 * x
     model = nv.Model(material=solid, **arrhenius(start, start))
@@ -142,7 +142,7 @@ def test_a_temperature_that_laws_are_given_is_the_run_s_where_the_material_has_n
 
 
 @pytest.mark.parametrize("mean", ["arithmetic", "geometric", "harmonic", "root"])
-def test_what_is_carried_gives_the_value_again_and_the_mean_that_it_says(mean):
+def test_a_carried_parameter_gives_its_value_back_and_has_the_stated_mean(mean):
     parameter, share = nv.Parameter("eta", start=2.0, mean=mean), 1e-5
     low, high = (parameter.carried(np.array([value])) for value in (1.0, 1e6))
     assert parameter.at({"eta": Array(high)}).value == pytest.approx(1e6, rel=1e-12)
@@ -152,7 +152,7 @@ def test_what_is_carried_gives_the_value_again_and_the_mean_that_it_says(mean):
     assert parameter.typical == 2.0
 
 
-def test_moduli_of_a_place_have_the_mean_that_their_law_says():
+def test_moduli_that_depend_on_place_have_the_mean_of_their_law():
     solid = nv.LinearElastic(K_e=1 + x, G_e=2 + x)
     model = nv.Model(
         material=solid,
@@ -164,7 +164,7 @@ def test_moduli_of_a_place_have_the_mean_that_their_law_says():
     assert found == expected | dict.fromkeys(("K_e", "K_v", "G_v"), "root")
 
 
-def test_a_mean_asks_for_positive_values():
+def test_a_geometric_mean_requires_positive_values():
     with pytest.raises(nv.ParameterError, match=r"Parameter\.start = -1.*> 0, with mean = 'geometric'"):
         nv.Parameter("eta", start=-1.0, mean="geometric")
     with pytest.raises(nv.ParameterError, match=r"Parameter\.mean = 'median'"):

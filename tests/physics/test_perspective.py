@@ -50,7 +50,7 @@ def slope(material, F, step=1e-6):
 
 
 @pytest.mark.parametrize("name", PSI)
-def test_stress_per_mass_is_rho_times_the_slope_and_F_transposed(name):
+def test_stress_of_an_energy_per_mass_is_rho_times_its_slope_times_F_transposed(name):
     """T = rho psi'(F) F^T with rho = rho_R/det F (paper, after ED-Euler-large), and phi = rho psi."""
     material, F = nv.PerMass(material=PSI[name], rho_R=RHO_R), distortion(1)
     rho, z = RHO_R / np.linalg.det(F), tensors(state(material, F))
@@ -60,7 +60,7 @@ def test_stress_per_mass_is_rho_times_the_slope_and_F_transposed(name):
 
 
 @pytest.mark.parametrize("name", PSI)
-def test_stress_per_referential_volume_is_the_paper_s(name):
+def test_stress_of_an_energy_per_referential_volume_is_the_paper_s(name):
     """T = psi'(F) F^T/det F and M = sym dev(F^T psi'(F))/det F (paper: Cauchy-stress++, Mandel-stress++)."""
     material, F = nv.PerReferentialVolume(material=PSI[name]), distortion(2)
     z = tensors(state(material, F))
@@ -97,7 +97,7 @@ def test_the_energy_itself_over_J_is_not_convex():
         assert not nv.check_convexity(plain).passed
 
 
-def test_elastic_state_is_that_of_the_material_within():
+def test_an_energy_per_mass_has_the_elastic_state_of_its_material():
     open_one = nv.PerMass(material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1), rho_R=RHO_R)
     by_F = nv.Model(material=open_one).material
     by_B = nv.Model(material=open_one, creep=nv.Creep(G_m=1.0)).material
@@ -108,7 +108,7 @@ def test_elastic_state_is_that_of_the_material_within():
     assert by_B.referential_density == RHO_R
 
 
-def test_wrappers_around_it_know_its_density():
+def test_wrappers_around_an_energy_per_mass_know_its_density():
     inner = nv.PerMass(material=PSI["fluid"], rho_R=RHO_R)
     wrapped = nv.WithQuadratic(material=nv.Yosida(material=inner, eps=1e-3), delta=1e-4)
     assert wrapped.referential_density == RHO_R

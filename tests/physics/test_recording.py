@@ -35,7 +35,7 @@ def several(c):
     }
 
 
-def test_a_program_has_the_bits_of_its_function():
+def test_a_recorded_program_has_the_same_bits_as_its_function():
     program, first = Program.of(several, arrays(0))
     for seed, found in (
         (0, first),
@@ -65,7 +65,7 @@ def test_equal_and_useless_operations_are_left_out():
     assert len(calls) == 1
 
 
-def test_data_are_read_again_after_each_begin_and_not_before():
+def test_a_program_reads_its_data_once_after_each_begin():
     data, squares = {"x": np.arange(5.0)}, []
 
     def squared(x):
@@ -102,6 +102,6 @@ def test_data_are_read_again_after_each_begin_and_not_before():
         lambda c: {"list": np.array(list(c["a"]))},
     ],
 )
-def test_what_cannot_be_recorded_is_refused(function):
+def test_a_function_that_cannot_be_recorded_is_refused(function):
     with pytest.raises(TypeError, match="cannot depend on values"):
         Program.of(function, arrays(0))

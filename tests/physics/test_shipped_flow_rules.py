@@ -71,7 +71,7 @@ WITH_POTENTIAL = [name for name, rule in EXAMPLES.items() if type(rule).psi is n
 
 
 @pytest.mark.parametrize("name", WITH_POTENTIAL)
-def test_psi_is_the_dual_of_the_rate_s_potential(name):
+def test_psi_is_the_dual_of_the_potential_of_the_rate(name):
     """psi(Pi) = int M : dPi along a ray, and psi'(rate(M)) = M."""
     rule, sizes = EXAMPLES[name], (1.0, 2.0)
     rates = [rate(rule, size * SHEAR) for size in sizes]
@@ -87,7 +87,7 @@ def test_psi_is_the_dual_of_the_rate_s_potential(name):
 
 @pytest.mark.parametrize("name", EXAMPLES)
 @pytest.mark.parametrize("size", [0.0, 1e-9, 1.0])
-def test_slopes_by_complex_increments_are_those_of_differences(name, size):
+def test_slopes_by_complex_increments_equal_central_differences(name, size):
     rule, h = EXAMPLES[name], 1e-6
     M, N = size * SHEAR, UNIAXIAL + SHEAR
     of_increment = rate(rule, M + (TINY * 1j) * N).imag / TINY
@@ -122,7 +122,7 @@ RULES |= {f"yield, {G_m:g} Pa s": nv.Perzyna(sigma_Y=0.5, G_m=G_m) for G_m in (1
 
 
 @pytest.mark.parametrize("name", RULES)
-def test_stress_and_rate_make_what_is_given(name):
+def test_the_resolved_stress_plus_its_rate_equals_the_given_tensor(name):
     rate = at_points(RULES[name])
     for start in (None, np.zeros(len(Y)), np.full(len(Y), 10.0)):
         M, Pi = resolved(rate, Y, 0.1, start)
@@ -140,7 +140,7 @@ def test_a_resolvent_exists_for_rates_that_are_no_multiples_of_their_stress(name
     assert (np.linalg.norm(M + 0.1 * rate(M) - Y, axis=1) <= 1e-11 * np.linalg.norm(Y, axis=1)).all()
 
 
-def test_a_rate_that_gives_energy_has_its_stress_above():
+def test_the_resolved_stress_of_a_rate_that_gives_energy_is_larger_than_the_given_one():
     M, _ = resolved(lambda M: -0.3 * M, Y, 1.0)
     assert np.allclose(M, Y / 0.7, rtol=1e-13)
 
@@ -177,13 +177,13 @@ class Powerless(nv.FlowRule):
         (Powerless(), "Powerless.nu.*no potential"),
     ],
 )
-def test_a_rule_that_makes_no_sense_is_refused_by_name(rule, field):
+def test_an_invalid_rule_is_refused_by_name(rule, field):
     with pytest.raises(nv.ParameterError, match=field):
         nv.Model(material=nv.LinearElastic(K_e=10.0, G_e=5.0), creep=rule)
 
 
 @pytest.mark.parametrize("nu", [0.0, 1.0])
-def test_a_rule_that_makes_sense_is_taken(nu):
+def test_a_valid_rule_is_accepted(nu):
     nv.Model(material=nv.LinearElastic(K_e=10.0, G_e=5.0), creep=Odd(nu=nu))
 
 

@@ -47,7 +47,7 @@ def pressure(material, J, theta):
 
 @pytest.mark.parametrize("heat", [{"expansion": 0.01}, {"gruneisen": 1.5}, {}])
 @pytest.mark.parametrize("cold", COLD)
-def test_energy_gives_the_temperature_pressure_and_heat_capacity_that_are_asked_for(cold, heat):
+def test_a_thermal_energy_has_the_given_temperature_pressure_and_heat_capacity(cold, heat):
     material = nv.Thermal(material=COLD[cold], c=3.0, theta_R=300.0, entropy_unit=2.0, **heat)
     assert temperature(material, 1.2, 350.0) == pytest.approx(350.0, rel=1e-13)
     hot, at_rest = pressure(material, 1.2, 350.0), pressure(material, 1.2, 300.0)
@@ -58,7 +58,7 @@ def test_energy_gives_the_temperature_pressure_and_heat_capacity_that_are_asked_
     assert 1.2 * (energies[0] - energies[1]) / 2 == pytest.approx(3.0, rel=1e-9)  # per reference volume
 
 
-def test_an_ideal_gas_has_its_laws():
+def test_an_ideal_gas_satisfies_the_gas_laws():
     """p V = (gamma - 1) U, adiabats have constant p V^gamma, and the isentropic bulk modulus is gamma p."""
     gas = nv.Thermal(c=862.0, gruneisen=0.4, theta_R=293.0, rho_R=1.2)
     assert pressure(gas, 2.0, 400.0) == pytest.approx(0.4 * 862 * 400 / 2, rel=1e-12)
@@ -174,12 +174,12 @@ def test_bodies_share_volume_and_entropy_so_that_the_energy_is_least(pair):
         ),
     ],
 )
-def test_bodies_that_can_have_no_temperature_in_common_are_refused(pair, said):
+def test_bodies_without_a_common_temperature_are_refused(pair, said):
     with pytest.raises(nv.NgviscoError, match=said):
         nv.Model(bodies=[body("a", pair[0]), body("b", pair[1])])
 
 
-def test_heat_of_a_body_is_refused_where_it_makes_no_sense():
+def test_invalid_heat_of_a_body_is_refused():
     with pytest.raises(nv.NgviscoError, match=r"bodies\['a'\]\.heat'? ?= .*None"):
         nv.Model(bodies=[body("a", ONE_COLD, heat=nv.Heat(conductivity=1.0)), body("b", ONE_COLD)])
     with pytest.raises(nv.NgviscoError, match=r"bodies\['a'\]\.heat\.numerical_heating"):
@@ -191,7 +191,7 @@ def test_heat_of_a_body_is_refused_where_it_makes_no_sense():
         nv.Model(bodies=pair, heat=nv.Heat(numerical_heating=True))
 
 
-def test_what_bodies_conduct_and_produce_goes_by_their_fractions():
+def test_conduction_and_sources_of_bodies_are_weighted_by_their_fractions():
     pair = [body(n, warm(c=1.0), heat=nv.Heat(conductivity=k, source=k)) for n, k in (("a", 2.0), ("b", 4.0))]
     law = nv.Model(bodies=pair, heat=nv.Heat(conductivity=1.0)).heat_law
     z = {"n_a": Array(np.array([0.5]), None), "n_b": Array(np.array([1.5]), None)}
@@ -217,7 +217,7 @@ def at(material, d, change, J=1.0):
     return tensors(z) | {"damage": ngsolve.Parameter(d), "s": ngsolve.Parameter(s)}
 
 
-def test_a_broken_body_has_no_thermal_stress_and_an_intact_one_the_whole():
+def test_thermal_stress_is_whole_in_an_intact_body_and_zero_in_a_broken_one():
     material = breaking()
     pressures = [-np.trace(value(cauchy_stress(material, at(material, d, 0.5)))) / 3 for d in (0.0, 1.0)]
     assert pressures[0] == pytest.approx(20.0 * BETA * 0.5, rel=1e-9)  # K beta dtheta
@@ -235,7 +235,7 @@ def test_thermal_stress_drives_damage_and_free_expansion_does_not():
     assert abs(value(conjugates(material, at(material, 0.0, change, free))["damage"])) < 0.02 * clamped
 
 
-def test_a_body_that_is_clamped_and_cooled_breaks_as_a_point_does():
+def test_a_clamped_body_that_is_cooled_breaks_like_a_material_point():
     """In one step at rest AT2 has d = 2 e/(2 e + G_c/l) with the elastic energy e."""
     change, material = -8.0, breaking(floor=1e-3)
     start = nv.Initial(density=1.0, temperature=WARM + change)
@@ -248,7 +248,7 @@ def test_a_body_that_is_clamped_and_cooled_breaks_as_a_point_does():
     assert run.fields["damage"](run.mesh(0.3, 0.4)) > 0.3
 
 
-def test_heat_goes_around_damage_and_the_other_orders_are_refused():
+def test_heat_has_to_wrap_damage_and_other_orders_are_refused():
     warm = nv.Thermal(material=RUBBER, c=C_V, theta_R=WARM, expansion=BETA)
     with pytest.raises(nv.ParameterError, match=r"Damaged\.material.*nv\.Thermal\(material=\.+\) around"):
         nv.Damaged(material=warm, G_c=0.1, length=0.5)

@@ -116,7 +116,7 @@ def test_rate_follows_the_integrated_distortion(name: str, creep: bool) -> None:
 @pytest.mark.parametrize(
     "eigenvalues", [(-1.0, 1, 1), (1, -1.0, 1), (1, 1, -1.0), (-1.0, -1.0, 1), (1, -1.0, -1.0), (-1, 1, -1.0)]
 )
-def test_minors_see_every_tensor_that_is_not_positive_definite(eigenvalues: tuple[float, ...]) -> None:
+def test_minors_find_every_tensor_that_is_not_positive_definite(eigenvalues: tuple[float, ...]) -> None:
     """Tensors with two negative eigenvalues, whose determinant is positive, are detected too; ln det of each
     of these tensors is NaN."""
     Q = random_rotation(np.random.default_rng(14))
@@ -222,7 +222,7 @@ def printed(F: np.ndarray, L: np.ndarray, Pi: np.ndarray) -> np.ndarray:
     return (cofactor(F + step * along) - cofactor(F - step * along)) / (2 * step)
 
 
-def test_cofactor_row_as_printed_is_ours_where_H_is_the_cofactor_of_F() -> None:
+def test_the_printed_cofactor_equation_equals_ours_where_H_is_the_cofactor_of_F() -> None:
     """Euler-large-viscoelastodyn-H has F^k in the row of H: this is the package's row for H = Cof F, for any
     L and Pi."""
     rng = np.random.default_rng(3)
@@ -247,7 +247,7 @@ def after_one_second(steps: int, L: np.ndarray, with_F: bool) -> np.ndarray:
     return H
 
 
-def test_cofactor_row_as_printed_differs_from_ours_by_the_order_of_the_step() -> None:
+def test_the_printed_cofactor_equation_differs_from_ours_by_the_order_of_the_step() -> None:
     """Neither H is Cof F^k. Both differ from Cof F^k by similar errors of first order in tau."""
     L = np.array([[0.3, 1.0, 0.2], [-0.4, 0.1, 0.5], [0.2, -0.3, -0.1]])
     exact = cofactor(expm(L))

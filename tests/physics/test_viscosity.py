@@ -38,7 +38,7 @@ def isotropic(K, G):
     return 3 * K * sph + 2 * G * (one - sph)
 
 
-def test_every_notation_is_the_map_that_its_definition_says():
+def test_every_notation_of_a_viscosity_is_the_map_of_its_definition():
     e = symmetric()
     in_mandel = value(LAW.stress(tensor(e), {}))
     assert vector(in_mandel, 2**0.5) == pytest.approx(MANDEL @ vector(e, 2**0.5), rel=1e-13)
@@ -133,7 +133,7 @@ def test_shear_stresses_are_those_of_the_literature(name, rate, expected):
     assert stress(LAWS[name], np.eye(3)) == pytest.approx(3.0 * np.eye(3), rel=1e-12)
 
 
-def test_activation_is_that_of_arrhenius_and_of_barus():
+def test_activation_follows_arrhenius_and_barus():
     warm = stress(LAWS["activated"], SHEAR, pressure=1e6, temperature=350.0)[0, 1]
     assert warm == pytest.approx(
         2.0 * np.exp((2e4 + 1.0) / (GAS_CONSTANT * 350) - 2e4 / (GAS_CONSTANT * 300))
@@ -149,7 +149,7 @@ def test_activation_is_that_of_arrhenius_and_of_barus():
 
 @pytest.mark.parametrize("name", LAWS)
 @pytest.mark.parametrize("rate", [1e-6, 1.0])
-def test_slopes_by_complex_increments_are_those_of_differences(name, rate):
+def test_slopes_by_complex_increments_equal_central_differences(name, rate):
     law, along, h = LAWS[name], SHEAR + np.diag([0.5, 0.3, -0.2]), 1e-5 * rate
     of_increment = stress(law, rate * SHEAR + 1j * TINY * along).imag / TINY
     difference = (stress(law, rate * SHEAR + h * along) - stress(law, rate * SHEAR - h * along)) / (2 * h)
@@ -175,7 +175,7 @@ class Odd(nv.StokesViscosity):
         (lambda: model(nv.Carreau(K_v=1, G_0=1, G_inf=20, relaxation=1, n=4)), "Carreau.stress"),
     ],
 )
-def test_what_makes_no_sense_is_refused_by_name(make, words):
+def test_an_invalid_viscosity_is_refused_by_name(make, words):
     with pytest.raises(nv.ParameterError, match=words):
         make()
 

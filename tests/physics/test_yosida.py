@@ -117,7 +117,7 @@ def test_singular_energies_become_finite_everywhere(name: str, J: float) -> None
     assert found.finite.all()
 
 
-def test_a_users_energy_has_a_minimiser_from_outside_of_its_domain() -> None:
+def test_a_users_energy_has_a_minimiser_for_a_state_outside_its_domain() -> None:
     """The energy has log Det F alone, without J: it is no number for det F < 0, and the iteration starts
     from rest there."""
     material = nv.CustomMaterial(
@@ -145,6 +145,6 @@ def test_an_approximation_without_a_minimum_names_the_reason() -> None:
     assert response.failure is not None and "not finite at 1 points" in response.failure
 
 
-def test_an_approximation_has_no_expression() -> None:
+def test_an_approximated_energy_as_an_expression_is_refused() -> None:
     with pytest.raises(NgviscoError, match=r"is not an expression; use ngvisco.physics.pointwise.respond"):
         nv.Yosida(material=NEO_HOOKEAN, eps=1.0).energy({})

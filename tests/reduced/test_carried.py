@@ -35,7 +35,7 @@ def rows_by_both_rules(r):
 
 
 @pytest.mark.parametrize(("dim", "orders"), each_once([2, 3], [(1, 0), (2, 1), (3, 2)]))
-def test_rows_are_the_same_by_fewer_points(dim, orders):
+def test_polynomial_rows_are_the_same_with_fewer_points(dim, orders):
     mesh = box((1, 1), 0.5) if dim == 2 else MakeStructured3DMesh(hexes=False, nx=1, ny=1, nz=1)
     r = residual(mesh, *orders)
     assert [type(term).__name__ for term in r.carried] == ["ElasticForce", "Kinematics"]
@@ -46,7 +46,7 @@ def test_rows_are_the_same_by_fewer_points(dim, orders):
         assert np.abs(few[name] - rows).max() <= 1e-12 * np.abs(rows).max()
 
 
-def test_fewer_points_than_the_degree_are_not_enough(monkeypatch):
+def test_rows_differ_with_fewer_points_than_their_degree_needs(monkeypatch):
     r = residual(box((1, 1), 0.5))
     monkeypatch.setattr(r, "carried_terms", None)
     monkeypatch.setattr(type(r.carried[1]), "degree", lambda *_: 2)
@@ -56,7 +56,7 @@ def test_fewer_points_than_the_degree_are_not_enough(monkeypatch):
     assert np.abs(few["z"] - all_points["z"]).max() > 1e-3 * np.abs(all_points["z"]).max()
 
 
-def test_what_is_no_polynomial_keeps_the_forms_rule():
+def test_rows_that_are_no_polynomials_keep_all_points():
     """Weights of a body of revolution and of curved cells; orders at which a rule has no fewer points."""
     around = residual(box((1, 1), 0.5), symmetry="axisymmetric")
     for r in (around, residual(disc(1.0, 0.8)), residual(box((1, 1), 0.5), k=1, m=1)):

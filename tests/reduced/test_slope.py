@@ -17,7 +17,7 @@ def energy(F, J):
     return 2 * square(F) + 6 * (J - 1) * (J - 1) - 4 * J + factor * strain * strain
 
 
-def test_an_energy_that_means_something_else_with_arrays_is_found_out():
+def test_an_energy_with_another_value_by_arrays_is_detected():
     material = nv.CustomMaterial(transported=(Distortion(), Jacobian()), stored_energy=energy)
     viscosity = nv.StokesViscosity(K_v=0.1, G_v=0.1)
     run = small_run(material=material, viscosity=viscosity, solver="split")
@@ -43,7 +43,7 @@ def test_rounding_at_rest_is_no_difference():
     assert slope.arrays is not None
 
 
-def test_bodies_are_differentiated_where_their_energy_is_curved():
+def test_only_the_curved_part_of_the_energy_of_bodies_is_differentiated():
     """Energies that are linear in X_i and n_i have the curvature of the common volumetric energy alone."""
     gas = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 10 * (J - 1) * (J - 1) / J)
     solid = nv.ReferentialNeoHookean(K_e=20.0, G_e=3.0)
@@ -64,7 +64,7 @@ def test_bodies_are_differentiated_where_their_energy_is_curved():
     assert np.allclose(response, by_columns, rtol=0, atol=1e-13 * abs(by_columns).max())
 
 
-def test_one_derivative_gives_a_column_of_each_branch():
+def test_one_increment_differentiates_a_column_of_each_branch():
     coupled = nv.CustomMaterial(
         transported=(LeftCauchyGreen(exponent=-5 / 3), CofactorLeftCauchyGreen(exponent=-4 / 3), Jacobian()),
         stored_energy=lambda B, N, J: tr(B) * tr(B) / J + tr(N) * tr(N) + 20 * (J - 1) * (J - 1) / J,

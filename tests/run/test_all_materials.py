@@ -71,7 +71,7 @@ FORMS = {
 
 
 @pytest.mark.parametrize("name", others_by_ci(FORMS, "fluid by J and by A"))
-def test_forms_of_a_material_agree_at_the_order_of_the_scheme(name):
+def test_elastic_states_of_a_material_agree_at_the_order_of_the_scheme(name):
     """F and B agree at first order in tau, since B keeps what F loses in a step; other forms agree at order
     m + 1."""
     *materials, most = FORMS[name]

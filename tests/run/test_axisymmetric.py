@@ -22,7 +22,7 @@ def about_the_axis(mesh=0.5, dt=0.02, **options):
 
 
 @pytest.mark.parametrize(("solver", "elastic_state"), each_once(SOLVERS, ["F", "B"]))
-def test_homogeneous_stretch_is_that_of_a_point(solver, elastic_state):
+def test_homogeneous_stretch_equals_that_of_a_material_point(solver, elastic_state):
     """The walls prescribe v = (a r, b y), which carries the body through the walls. To rounding, F at a
     point, the density, the viscous power and the stress are those of backward Euler, and F_33 is F_rr."""
     a, b, dt, steps, K_v, G_v = 0.5, -0.4, 0.1, 3, 0.3, 0.2
@@ -176,7 +176,7 @@ def test_translation_along_the_axis_leaves_a_strained_body_as_it_is():
         "FieldDiffusion": {"regularisation": nv.Regularisation(delta_fields=1e-3)},
     }.items(),
 )
-def test_what_is_not_about_an_axis_is_refused(field, parts):
+def test_laws_and_walls_that_do_not_fit_an_axis_are_refused(field, parts):
     with pytest.raises(ParameterError) as error:
         about_the_axis(**{"symmetry": "axisymmetric", **parts})
     assert field.strip() in str(error.value)

@@ -78,7 +78,7 @@ def test_heat_of_a_rod_leaves_through_its_side():
     assert 1e-6 <= off <= 2e-3
 
 
-def test_total_deformation_and_distortion_are_one_without_creep():
+def test_without_creep_F_tot_equals_F():
     run = small_run(
         0.4,
         0.01,
@@ -138,7 +138,7 @@ def test_a_case_file_sets_the_symmetry(tmp_path):
     assert 'symmetry = "axisymmetric"' in case.resolved
 
 
-def test_a_case_file_is_told_by_its_key(tmp_path):
+def test_a_case_about_an_axis_in_three_dimensions_is_refused_by_its_key(tmp_path):
     text = CASE.replace("size = [1, 1]", "size = [1, 1, 1]").replace('x)", 0]', 'x)", 0, 0]')
     case = parse_case(text, "case.toml", tmp_path)
     with pytest.raises(CaseError, match=r"domain\.symmetry"):

@@ -118,7 +118,7 @@ def test_ledger_mass_and_energy_hold_and_both_solvers_agree(name):
     assert_same(*found)
 
 
-def test_the_body_of_higher_order_fills_what_two_have_in_common():
+def test_the_body_of_higher_order_fills_the_overlap_of_two():
     """The bodies are halves of 1 and 3 kg/m^3 that overlap by 0.2 m."""
     for order, mass in ((1, 0.6 + 3 * 0.4), (-1, 0.4 + 3 * 0.6)):
         bodies = [
@@ -148,7 +148,7 @@ def test_ledger_of_bodies_closes_for_other_orders_and_schemes(m, scheme):
     assert np.abs(masses(run) / before - 1).max() <= 1e-12
 
 
-def test_two_halves_of_one_material_are_one_body():
+def test_two_halves_of_one_material_move_like_one_body():
     """The energy is that of an undivided body, except for what neither half bears at the line between
     them."""
     halves = [
@@ -163,7 +163,7 @@ def test_two_halves_of_one_material_are_one_body():
     assert abs(energies[0] - energies[1]).max() <= 1e-2 * energies[0][0]
 
 
-def test_traces_of_a_stiff_body_do_not_feed_on_a_thin_fluid():
+def test_traces_of_a_stiff_body_in_a_thin_fluid_gain_no_energy():
     """A thin fluid bears no stress beside traces of a stiff body.
 
     Only the scheme lowers the energy, and hardly.
@@ -241,7 +241,7 @@ def test_bad_bodies_are_refused_by_name(make, match):
 
 
 @pytest.mark.parametrize("regularised", ["J_min", "delta"])
-def test_bodies_are_regularised_per_reference_volume(regularised):
+def test_bodies_are_regularised_per_referential_volume(regularised):
     """``PerReferentialVolume`` around a regularised energy keeps convexity: no remainder is negative."""
     law = nv.NeoHookean(K_e=10.0, G_e=1.0, epsilon=0.1, J_min=2.0 if regularised == "J_min" else None)
     changed = nv.WithQuadratic(material=law, delta=1e-2, only=("J",)) if regularised == "delta" else law
@@ -281,14 +281,14 @@ class Growth(PointTerm):
         ),
     ],
 )
-def test_arguments_that_bodies_have_are_refused_for_the_whole_model(options, match):
+def test_arguments_of_bodies_are_refused_for_the_whole_model(options, match):
     with pytest.raises(nv.ParameterError, match=match):
         small_run(bodies=[disc(), rest()], **options)
 
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_fields_of_bodies_diffuse_where_their_volumetric_energy_is_one():
+def test_fields_of_bodies_diffuse_only_with_one_volumetric_energy():
     """Diffusion has a column and changes no body's mass; other bodies are refused with a remedy."""
     diffusing = {"regularisation": nv.Regularisation(delta_fields=1e-2)}
     runs = by_both_solvers(lambda solver: simulation("solid in a fluid", solver, **diffusing), 0.04)
@@ -332,7 +332,7 @@ def test_bulk_moduli_that_differ_much_are_warned_of_by_name(K_e, m, warns):
         ("split", (10.0, 1.0), 1),
     ],
 )
-def test_layers_with_a_face_inside_a_cell_are_in_series(solver, viscosities, k):
+def test_layers_that_meet_inside_a_cell_act_in_series(solver, viscosities, k):
     """A Couette flow has two layers, whose face is in the middle of a cell.
 
     With the arithmetic mean in this cell, the force is 7 per cent too large. With constants in cells, it is 8

@@ -79,7 +79,7 @@ def test_table_has_the_columns_of_each_body(whole):
     assert rows == pytest.approx(np.array(table.rows), rel=1e-15)
 
 
-def test_disc_starts_where_it_is_put(whole):
+def test_a_disc_starts_at_its_given_place(whole):
     _, table, _ = whole
     assert table.column("disc_volume")[0] == pytest.approx(0.04 * np.pi, rel=1e-3)
     assert table.column("disc_mass")[0] == pytest.approx(0.08 * np.pi, rel=1e-3)
@@ -98,7 +98,7 @@ def test_mass_of_each_body_is_constant_and_volumes_fill_the_domain(whole):
     assert table.column("fluid_volume") + table.column("disc_volume") == pytest.approx(1, rel=1e-12)
 
 
-def test_sums_over_bodies_are_the_ledger_s(whole):
+def test_sums_over_bodies_equal_the_ledger(whole):
     _, table, run = whole
     ledger = run.ledger
 
@@ -119,7 +119,7 @@ def test_sums_over_bodies_are_the_ledger_s(whole):
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_resumed_table_is_that_of_the_whole_run(whole, tmp_path):
+def test_the_table_of_a_resumed_run_equals_that_of_the_whole_run(whole, tmp_path):
     out, _, _ = whole
     observers = [nv.Bodies(tmp_path / "bodies.csv"), nv.Checkpoints(tmp_path / "run.h5", every=2)]
     simulation(*observers).run(0.04)
@@ -175,7 +175,7 @@ def test_a_passive_field_is_no_body():
     assert outlined(passive) == []
 
 
-def test_tractions_in_a_periodic_strip_of_one_cell_are_those_of_two():
+def test_tractions_in_a_periodic_strip_are_the_same_on_one_cell_and_on_two():
     """Each cell of the narrow strip meets its own image: all lengths of a strip have one force."""
     forces = []
     for cells in (1, 2):

@@ -82,7 +82,7 @@ def test_a_parameter_stays_within_the_range_of_its_start():
     assert extremes[False][0] < -0.05 and extremes[False][1] > 1.05
 
 
-def test_start_values_may_be_given():
+def test_start_values_of_parameters_may_be_given():
     mesh, material = box((1, 1), maxh=0.5), nv.NeoHookean(K_e=1.0, G_e=nv.Parameter("stiff"), epsilon=0.1)
     run = nv.Simulation(
         mesh, nv.Model(material=material), dt=0.1, initial=nv.Initial(values={"stiff": 2 + CF(x)})
@@ -98,7 +98,7 @@ def test_density_follows_from_a_referential_density_that_differs_from_place_to_p
 
 
 @pytest.mark.filterwarnings("error::ngvisco.errors.InputWarning")
-def test_a_parameter_is_not_warned_of_where_it_is_not_told_by_the_distortion():
+def test_a_start_parameter_beside_a_given_distortion_brings_no_warning():
     """F does not determine a parameter, which may have any value."""
     material = nv.NeoHookean(K_e=5 + x, G_e=1.0, epsilon=0.1)
     initial = nv.Initial(F=CF((1.1, 0, 0, 0, 1, 0, 0, 0, 1), dims=(3, 3)))
@@ -155,7 +155,7 @@ def test_traces_of_a_stiff_material_do_not_change_the_stress():
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_creep_that_gives_energy_by_a_modulus_that_overshoots_is_said_to_do_so():
+def test_creep_that_gives_energy_by_an_overshooting_modulus_is_warned_of():
     """The modulus has the arithmetic mean and no limiter; the rule itself is admissible."""
     soft = nv.Parameter("soft", start=IfPos(x - 0.45, 1.0, 0.0))
     model = nv.Model(
@@ -172,7 +172,7 @@ def test_creep_that_gives_energy_by_a_modulus_that_overshoots_is_said_to_do_so()
 
 
 @pytest.mark.parametrize("density", [False, True])
-def test_a_start_that_jumps_at_sides_of_cells_is_constant_in_cells(density):
+def test_a_start_field_that_jumps_between_cells_is_constant_in_cells(density):
     """Some quadrature rules have points on the sides."""
     start = SOFT + 9 * UPPER
     model = nv.Model(material=nv.LinearElastic(K_e=1.0, G_e=1.0), creep=nv.Creep(G_m=start))

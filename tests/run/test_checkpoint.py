@@ -59,7 +59,7 @@ def test_a_run_goes_on_with_the_other_solver(tmp_path, solver, other):
     assert_same(whole, again)
 
 
-def test_a_checkpoint_of_something_else_is_refused_with_the_reason(tmp_path):
+def test_a_checkpoint_of_another_run_is_refused_with_the_reason(tmp_path):
     simulation([nv.Checkpoints(tmp_path / "run.h5")]).run(0.02)
     stiffer = nv.NeoHookean(K_e=20.0, G_e=5.0, epsilon=0.1)
     for reason, other in (
@@ -73,7 +73,7 @@ def test_a_checkpoint_of_something_else_is_refused_with_the_reason(tmp_path):
         assert np.array_equal(before, other.rothe_step.state.vec.FV().NumPy())
 
 
-def test_a_changed_bit_is_refused_or_changes_nothing(tmp_path):
+def test_a_checkpoint_with_a_flipped_bit_is_refused_or_reads_the_same(tmp_path):
     """The file's bytes are data, names, or unused: a changed byte must not give another state."""
     path = tmp_path / "run.h5"
     simulation([nv.Checkpoints(path)]).run(0.02)
@@ -95,7 +95,7 @@ def test_a_changed_bit_is_refused_or_changes_nothing(tmp_path):
     assert refused >= 10  # most of the file is data
 
 
-def test_an_energy_is_known_by_its_values_not_by_its_name(tmp_path):
+def test_a_checkpoint_identifies_an_energy_by_its_values_not_by_its_name(tmp_path):
     from ngvisco.physics.tensors import square
     from ngvisco.physics.variables import Distortion, Jacobian
 
@@ -148,7 +148,7 @@ def test_a_curved_mesh_comes_back_with_the_shape_of_its_geometry():
     assert volume_and_surface(found) == pytest.approx(volume_and_surface(ROUND), rel=1e-14)
 
 
-def test_curved_cells_without_a_geometry_stay_as_the_file_has_them():
+def test_curved_cells_without_a_geometry_keep_the_shape_in_the_file():
     image = mesh_image(ROUND)
     found = mesh_of(image[: image.index(b"endmesh") + len(b"endmesh\n")])
     assert found.GetCurveOrder() == ROUND.GetCurveOrder()

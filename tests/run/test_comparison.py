@@ -37,7 +37,7 @@ def drawn(monkeypatch):
     return found
 
 
-def test_runs_are_compared_in_one_picture_each(runs, tmp_path, drawn):
+def test_runs_are_compared_in_one_picture_per_quantity(runs, tmp_path, drawn):
     written = plot_comparison({name: runs / name for name in "ab"}, tmp_path)
     assert [path.name for path in written] == ["comparison-energies.png", "comparison-probes.png"]
     assert all(path.stat().st_size > 0 for path in written)
@@ -81,7 +81,7 @@ def test_options_of_one_run_are_refused_for_several(runs, capsys, words, message
     assert message in capsys.readouterr().err
 
 
-def test_what_is_no_run_is_refused(runs, tmp_path, capsys):
+def test_a_comparison_with_a_directory_without_a_run_is_refused(runs, tmp_path, capsys):
     assert main(["plot", str(runs / "a"), str(tmp_path), "-o", str(tmp_path)]) == 3
     assert "not a run directory with results" in capsys.readouterr().err
 

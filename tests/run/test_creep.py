@@ -66,7 +66,7 @@ def test_relaxation_at_fixed_shape_follows_the_ode_at_first_order(nu):
 
 
 @pytest.mark.parametrize("creep", [nv.Creep(G_m=2.0), nv.Creep(G_m=2.0, nu=0.01)], ids=["nu = 0", "nu > 0"])
-def test_J_is_untouched_by_creep(creep):
+def test_creep_does_not_change_J(creep):
     """At a fixed shape J is constant to rounding, while the elastic strain vanishes."""
     run = relaxing(creep, 0.1, F_0)
     run.run(1.0)
@@ -104,7 +104,7 @@ def mean_square(values):
     return float(np.sqrt(np.mean(values**2)))
 
 
-def test_gradient_creep_tends_to_that_without_a_gradient_like_nu():
+def test_gradient_creep_approaches_its_limit_linearly_in_nu():
     """On one mesh, the difference from the continuous Pi of nu = 1e-12 is O(nu). The difference from the
     cellwise Pi of nu = 0 is not."""
     limit = distortion(swirl(nv.Creep(G_m=2.0, nu=1e-12, q=2.0)))

@@ -231,7 +231,7 @@ def test_crack_that_is_stretched_keeps_its_energy_per_reference_area():
         assert abs(ledger.column("closure_relative")).max() < 1e-11
 
 
-def test_growth_in_a_step_is_a_column_and_much_of_it_is_warned_of():
+def test_damage_growth_per_step_is_a_column_and_fast_growth_is_warned_of():
     """If the damage is homogeneous, the crack areas made in the steps add up to the stored area."""
     run = sheared("AT2")
     with pytest.warns(

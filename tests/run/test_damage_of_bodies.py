@@ -76,7 +76,7 @@ def test_ledger_closes_for_laws_flow_rules_and_dimensions(law, dim, scheme, of_b
         assert_same(*runs)
 
 
-def test_two_bodies_break_each_by_its_own_damage():
+def test_each_of_two_bodies_breaks_by_its_own_damage():
     """Each body has its own names, fields and dissipation, and the ledger has the sums."""
     weak = damaged(floor=1e-3, G_c=0.02, material=nv.ReferentialNeoHookean(K_e=10.0, G_e=2.0))
     run = turned(beside=weak, names=("rest",))
@@ -121,7 +121,7 @@ def test_each_step_from_a_state_to_another_dissipates_at_every_point(mixture):
     assert of_present.min() < 0
 
 
-def test_slopes_are_those_of_the_energy(mixture):
+def test_slopes_of_damaged_bodies_equal_differences_of_the_energy(mixture):
     """The slopes at one state, and the Hessian with lagged damages, are those of central differences."""
     respond, h = mixture.response(2), 1e-5
     now, old = states(mixture, 20, 3), states(mixture, 20, 4)
@@ -157,7 +157,7 @@ def test_damage_of_one_body_changes_nothing_where_it_is_absent(mixture):
     assert found.slope[1, rest] - found.slope[0, rest] == pytest.approx(backing * law, rel=1e-12)
 
 
-def test_more_energy_than_by_held_volumes_is_released_and_counted():
+def test_energy_released_by_the_volumes_of_a_growing_damage_is_counted():
     """A stretched block shares cells with a soft fluid: when its damage grows, the volumes change."""
     run = turned(beside=fluid(2.0), of_body={})
     run.advance()
@@ -194,12 +194,12 @@ def test_a_run_that_breaks_goes_on_from_its_checkpoint(tmp_path):
         ),
     ],
 )
-def test_what_a_body_that_breaks_does_not_take_is_refused_by_name(law, match):
+def test_laws_that_do_not_go_with_damage_of_a_body_are_refused_by_name(law, match):
     with pytest.raises(nv.ParameterError, match=match):
         nv.Model(bodies=bodies(law))
 
 
-def test_heat_beside_damage_and_constants_in_cells_are_refused():
+def test_damage_of_bodies_with_heat_or_with_constants_in_cells_is_refused():
     warm = nv.Thermal(material=fluid(), c=1.0, theta_R=300.0)
     with pytest.raises(nv.ParameterError, match=r"bodies\['disc'\].material.*no damage beside heat"):
         nv.Model(bodies=bodies(beside=warm))

@@ -37,7 +37,7 @@ def names(material):
 
 
 @pytest.mark.parametrize("name", TWO_FORMED)
-def test_model_with_creep_is_by_B_and_one_without_by_F(name):
+def test_a_model_uses_B_with_creep_and_F_without(name):
     material, creep = TWO_FORMED[name](), nv.Creep(G_m=1.0)
     assert "B" in names(nv.Model(material=material, creep=creep).material)
     for none in (None, nv.Creep(G_m=math.inf)):
@@ -48,14 +48,14 @@ def test_model_with_creep_is_by_B_and_one_without_by_F(name):
         assert nv.Model(material=given).material == given
 
 
-def test_wrapped_materials_take_the_form_of_their_model():
+def test_wrapped_materials_take_the_elastic_state_of_their_model():
     inner = TWO_FORMED["NeoHookean"]()
     wrapped = nv.WithQuadratic(material=nv.Yosida(material=inner, eps=1e-3), delta=0.1)
     found = nv.Model(material=wrapped, creep=nv.Creep(G_m=1.0)).material
     assert found.material.material.elastic_state == "B"
 
 
-def test_names_of_variables_of_one_form_choose_this_form():
+def test_variable_names_of_one_elastic_state_choose_this_state():
     """The names in ``only`` choose B without creep and F with creep; names of both forms are refused."""
     inner = nv.Yosida(material=TWO_FORMED["MooneyRivlin"](), eps=1e-3)
     for names, creep, state in (
@@ -86,7 +86,7 @@ OPEN = {
 
 
 @pytest.mark.parametrize("name", OPEN)
-def test_what_no_one_asked_for_is_by_B_for_constants_in_cells(name):
+def test_an_open_elastic_state_is_B_for_constants_in_cells(name):
     model = nv.Model(material=OPEN[name](), viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1))
     for m, state in ((0, "B"), (1, "F"), (2, "F")):
         given = OPEN[name](elastic_state=state)
@@ -100,7 +100,7 @@ def test_what_no_one_asked_for_is_by_B_for_constants_in_cells(name):
     assert names(replace(model, loads=(nv.Gravity((0, -1)),)).at_order(0).material) != names(model.material)
 
 
-def test_ogden_of_small_exponents_has_no_B():
+def test_ogden_with_small_exponents_has_no_elastic_state_B():
     rubber = nv.Ogden(K_e=10.0, mu=(5.0,), alpha=(1.3,))
     assert names(nv.Model(material=rubber).at_order(0).material) == ["H", "J"]
 
@@ -207,7 +207,7 @@ def drift(run):
     return max(abs(each_cell(one) / each_cell(CF(1.0))).max() for one in of.values())
 
 
-def test_rest_energy_that_drift_frees_does_not_become_motion():
+def test_a_run_ends_before_the_drift_of_F_from_J_becomes_motion():
     """Without a shear modulus F and J drift apart, and phi(F, J) falls below its value at rest.
 
     A run with a wave of 0.01 J had reached 500 times this energy, with a ledger that closed.
@@ -227,7 +227,7 @@ def test_rest_energy_that_drift_frees_does_not_become_motion():
 @pytest.mark.long
 @pytest.mark.ci
 @pytest.mark.filterwarnings("ignore::ngvisco.run.ledger.DefectWarning")
-def test_a_run_ends_at_the_drift_that_is_given():
+def test_a_run_ends_at_the_given_drift_limit():
     """A body that is torn at a corner needs a larger drift; a run with a smaller limit ends earlier."""
     assert in_a_closed_box("F", speed=0.5, drift=0.3, halvings=0).run(0.8).rows[-1]["time"] == pytest.approx(
         0.8
@@ -239,7 +239,7 @@ def test_a_run_ends_at_the_drift_that_is_given():
 
 
 @pytest.mark.parametrize(("state", "m"), [(None, 0), by_ci("B", 1)])
-def test_by_B_the_wave_in_a_box_stays_below_its_start(state, m):
+def test_with_B_the_wave_in_a_box_stays_below_its_start(state, m):
     """B is the default for m = 0."""
     run = in_a_closed_box(state, m)
     assert names(run.model.material) == ["B", "J"]
@@ -249,7 +249,7 @@ def test_by_B_the_wave_in_a_box_stays_below_its_start(state, m):
     assert drift(run) < 0.01
 
 
-def test_a_volume_that_may_pass_zero_has_no_drift():
+def test_an_energy_continued_below_J_of_zero_has_no_drift():
     """If the energy is continued beyond J = 0, there is no J to compare with."""
     z = {v.name: v.from_distortion(nv.physics.tensors.IDENTITY) for v in (Distortion(), Jacobian())}
     plain = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F")
@@ -264,7 +264,7 @@ TWO = (
 """Pairs of distortions of determinant one: two that have turned, two that are stretched."""
 
 
-def test_means_of_B_lose_no_determinant_and_those_of_rotations_do():
+def test_averaging_rotations_lowers_det_F_and_never_det_B():
     """Means of two rotations free rest energy by F and never by B, and only the loss by F counts as
     drift."""
     for sign, (one, other) in zip((-1, 1), TWO, strict=True):
@@ -283,7 +283,7 @@ def test_means_of_B_lose_no_determinant_and_those_of_rotations_do():
     assert float(value(drifts(law, short)["det B and J"])) == pytest.approx(0.8**0.5 - 1)
 
 
-def test_check_says_where_variables_may_part():
+def test_check_warns_where_F_and_J_may_drift_apart():
     by = {s: nv.ReferentialNeoHookean(K_e=10.0, G_e=2.0, elastic_state=s) for s in "FB"}
     said = may_part(by["F"], True)
     assert 'elastic_state = "B"' in said and "walls move" in said

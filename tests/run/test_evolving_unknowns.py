@@ -113,7 +113,7 @@ def test_a_scalar_relaxes_by_the_schemes_stability_function(name, place):
 @pytest.mark.parametrize(
     ("term", "scheme"), each_once([Pores(), Swelling()], ["backward-euler", "midpoint", "sdirk2"])
 )
-def test_solvers_agree_and_the_ledger_closes_where_it_drives_the_flow(term, scheme):
+def test_solvers_agree_and_the_ledger_closes_where_an_evolving_unknown_drives_the_flow(term, scheme):
     states, ledgers = [], []
     for solver in ("coupled", "split"):
         run = simulation(term, theta=exp(x) * y, scheme=scheme, solver=solver)
@@ -167,7 +167,7 @@ def test_a_transfer_keeps_evolving_unknowns(place):
         transfer(without, simulation(terms[0]))
 
 
-def test_old_value_of_what_does_not_evolve_is_refused_by_name():
+def test_the_old_value_of_an_unknown_that_does_not_evolve_is_refused_by_name():
     term = Relaxation()
     term.evolves = False
     with pytest.raises(ParameterError, match=r"Relaxation reads the old value of theta.*evolves=True"):
@@ -181,12 +181,12 @@ class Reading(Relaxation):
         return [Entry("power_old", "power", Integrand(square(u.context.old.zeta)))]
 
 
-def test_an_old_value_is_refused_in_entries():
+def test_an_old_value_in_ledger_entries_is_refused():
     with pytest.raises(ParameterError, match="Reading reads the old value of zeta"):
         simulation(Reading(), theta=None)
 
 
-def test_split_solver_says_why_it_refuses_one_in_cells():
+def test_the_split_solver_refuses_an_evolving_unknown_in_cells_with_the_reason():
     term = Relaxation()
     term.place = "cells"
     with pytest.raises(
@@ -224,7 +224,7 @@ class ByVelocity(Relaxation):
         (ByVelocity(), "ByVelocity has a slope that reads the change of v"),
     ],
 )
-def test_a_share_of_the_energy_that_would_be_lost_is_refused(term, said):
+def test_a_term_whose_energy_would_be_lost_is_refused(term, said):
     with pytest.raises(ParameterError, match=said):
         simulation(term, theta=None)
 
@@ -250,7 +250,7 @@ def test_an_unknown_with_the_name_of_a_field_is_refused():
             simulation(term, theta=None)
 
 
-def test_declarations_are_checked():
+def test_declarations_of_evolving_unknowns_are_checked():
     with pytest.raises(ParameterError, match="'cells' or 'continuous' for 'theta'"):
         Unknown("theta", "facets", evolves=True)
     with pytest.raises(ParameterError, match=r"Unknown\.scale"):
@@ -263,7 +263,7 @@ def test_declarations_are_checked():
         simulation(term, theta=None)
 
 
-def test_start_values_are_known_by_name():
+def test_an_unknown_start_value_is_refused_with_the_nearest_name():
     with pytest.raises(UnknownNameError, match=r"thata.*theta"):
         Simulation(
             box((1, 1), maxh=0.6),

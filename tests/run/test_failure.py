@@ -49,7 +49,7 @@ def test_a_refused_solution_is_reported_with_place_quantity_history_and_advice(f
 
 
 @pytest.mark.parametrize("stiffness", [0.0, 1e10])
-def test_rounding_moves_a_stiff_body_that_only_inertia_holds(stiffness):
+def test_rounding_is_reported_where_only_inertia_holds_a_stiff_body(stiffness):
     """Steps are long beside the passage of waves; weak springs hold the body."""
     pressures = {"left": 1e6 * nv.time, "right": 1e6 * nv.time, "top": 0.0, "bottom": 0.0}
     springs = (stiffness, stiffness)
@@ -107,7 +107,7 @@ def test_rounding_of_large_entropies_is_named_with_its_remedies():
     assert relaxing(1e7, theta_R=295.0).run(0.03).rows[-1]["time"] == pytest.approx(0.03)
 
 
-def test_attempts_from_one_start_are_one_line():
+def test_attempts_from_the_same_start_are_reported_in_one_line():
     """The report of a step that was tried in many parts fits one screen."""
     stalled = Solution(Status.STALLED, (NewtonIteration(3.0, 1.0, 1.0, True),) * 9, "as it was said")
     solved = Solution(Status.CONVERGED, (NewtonIteration(1e-12, 0.1, 1.0, True),))
@@ -119,7 +119,7 @@ def test_attempts_from_one_start_are_one_line():
     assert "from the last state: 150 iterations in 30 attempts, 15 of them solved" in line
 
 
-def test_a_step_without_a_solution_is_reported_by_where_the_flow_is_fastest(monkeypatch):
+def test_a_step_without_a_solution_is_reported_with_the_place_of_fastest_flow(monkeypatch):
     run = cavity()
     run.run(2 * DT)
 
@@ -135,7 +135,7 @@ def test_a_step_without_a_solution_is_reported_by_where_the_flow_is_fastest(monk
     assert "did not converge" in str(report) and "shorter steps" in str(report)
 
 
-def test_the_refused_solution_is_written_for_a_look(failed, tmp_path):
+def test_the_refused_solution_is_written_for_inspection(failed, tmp_path):
     run, error = failed
     before = run.rothe_step.state.vec.FV().NumPy().copy()
     write_failure(tmp_path / "failed.txt", tmp_path / "failed.vtu", run, error.report)
@@ -151,7 +151,7 @@ def test_the_refused_solution_is_written_for_a_look(failed, tmp_path):
 
 
 @pytest.mark.parametrize(("floor", "is_named"), [(1e-9, True), (1e-3, False)])
-def test_a_potential_of_creep_that_is_sharp_at_rest_is_named(floor, is_named, monkeypatch):
+def test_a_flow_rule_without_a_smooth_potential_at_rest_is_named(floor, is_named, monkeypatch):
     creep = nv.Perzyna(sigma_Y=0.5, G_m=0.1, nu=1e-3, rate_floor=floor)
     model = nv.Model(material=nv.LinearElastic(K_e=10.0, G_e=5.0), creep=creep)
     initial = nv.Initial(velocity=(sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y)))

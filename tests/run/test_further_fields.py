@@ -69,7 +69,7 @@ def test_principal_stretches_exist_by_E_and_not_for_fluids():
 
 @pytest.mark.parametrize("solver", ["coupled", "split"])
 @pytest.mark.parametrize("nu", [0.0, 1e-2])
-def test_fields_have_the_powers_of_the_ledger(nu, solver):
+def test_integrals_of_fields_equal_the_powers_of_the_ledger(nu, solver):
     """int Pi : M, int D eps : eps and int hyperstress : hess v are the dissipations of the last step."""
     swirl = (sin(pi * x) * sin(pi * y) ** 2, 0.0)
     run = small_run(
@@ -94,13 +94,13 @@ def test_fields_have_the_powers_of_the_ledger(nu, solver):
     assert "hyperstress_3" not in fields
 
 
-def test_what_a_model_does_not_have_is_no_field():
+def test_a_model_has_no_fields_of_quantities_that_it_lacks():
     fields = simulation(nv.BarotropicFluid(B=1.0, gamma=1.4)).fields
     assert {name for name in NAMES if name in fields} == {"principal_stresses"}
     assert at(simulation(nv.BarotropicFluid(B=1.0, gamma=1.4)), "principal_stresses") == pytest.approx(-0.4)
 
 
-def test_series_has_them_by_name_only(tmp_path):
+def test_a_series_has_derived_fields_only_on_request(tmp_path):
     run = simulation(MATERIALS["F"], viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1), passive=["F_tot"])
     asked = ["mandel_stress", "viscous_stress", "principal_stretches", "F_tot"]
     for names, folder in ((None, "usual"), (asked, "asked")):

@@ -101,7 +101,7 @@ def integral(step: Step, integrand: Integrand) -> float:
 
 
 @by_case
-def test_dissipations_are_the_powers_of_their_forms(case: Case) -> None:
+def test_dissipations_equal_the_powers_of_their_forms(case: Case) -> None:
     step = step_of(case)
     randomise(step, 1)
     make_consistent(step)
@@ -113,7 +113,7 @@ def test_dissipations_are_the_powers_of_their_forms(case: Case) -> None:
 
 @pytest.mark.filterwarnings("ignore::ngvisco.run.signs.DissipationWarning")  # the states are random
 @by_case
-def test_closure_is_the_residual_tested_by_the_solution(case: Case) -> None:
+def test_closure_equals_the_residual_tested_with_the_solution(case: Case) -> None:
     """For any state, converged or not, closure = tau <R(u), (v, zeta)>, which is zero for a solution."""
     run = nv.Simulation(
         small_box(case.dim), case.model, dt=0.3, discretisation=Discretisation(k=case.k, m=case.m)
@@ -215,7 +215,7 @@ def test_a_wrong_entry_opens_the_ledger(name: str, monkeypatch: pytest.MonkeyPat
     assert abs(row["closure_relative"]) > 1e-8
 
 
-def test_an_open_ledger_is_said_once_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_steps_that_do_not_close_are_counted_in_one_warning(monkeypatch: pytest.MonkeyPatch) -> None:
     """The limit is 1e-8, or 100 times the solver's tolerance if this is larger."""
     assert closure_limit(1e-12) == 1e-8 and closure_limit(1e-6) == pytest.approx(1e-4)
     monkeypatch.setattr(Inertia, "distance", scaled(Inertia.distance, "inertial", 1.01))
@@ -231,7 +231,7 @@ def test_an_open_ledger_is_said_once_and_counted(monkeypatch: pytest.MonkeyPatch
     assert "is inf in step 3" in run.ledger.unclosed
 
 
-def test_parts_of_a_run_are_judged_by_the_limits_of_their_own(
+def test_each_part_of_a_resumed_run_closes_by_its_own_tolerance(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A warning names an open step also after a resume, but not a step that closes by its own, larger
@@ -257,7 +257,7 @@ def test_parts_of_a_run_are_judged_by_the_limits_of_their_own(
 # --- the other columns ---------------------------------------------------------------------------------
 
 
-def test_extrema_of_density_and_jacobian_are_those_of_the_fields() -> None:
+def test_extrema_of_density_and_jacobian_equal_those_of_the_fields() -> None:
     stretch = CF((1 + 0.5 * x, 0, 0, 0, 1, 0, 0, 0, 1), dims=(3, 3))
     material = Case().model.material
     initial = nv.Initial(density=2 - y, F=stretch)
@@ -269,7 +269,7 @@ def test_extrema_of_density_and_jacobian_are_those_of_the_fields() -> None:
     assert row["J_defect"] == pytest.approx(0.0, abs=1e-13)
 
 
-def test_jacobian_defect_is_the_norm_of_j_minus_det_f() -> None:
+def test_jacobian_defect_is_the_norm_of_J_minus_det_F() -> None:
     initial = nv.Initial(F=1.1 * Id(3), values={"J": 1.1**3 + 0.2})
     with pytest.warns(nv.InputWarning, match=r"J does not follow from F \(the difference is 0.2, at "):
         run = nv.Simulation(
@@ -286,7 +286,7 @@ def test_linearised_material_has_no_jacobian() -> None:
     assert np.isnan(row["J_min"]) and np.isnan(row["J_defect"])
 
 
-def test_speed_and_cfl_number_are_those_of_the_velocity() -> None:
+def test_speed_and_courant_number_follow_from_the_velocity() -> None:
     mesh = box((1, 1), 0.5)
     run = nv.Simulation(mesh, nv.Model(material=Case().model.material), dt=0.1)
     parts_of(run.rothe_step)["v"].Set(CF((3, 4)))

@@ -39,14 +39,14 @@ def phase(cells: tuple[int, int], steps: int) -> float:
     return float(integrate(run.fields["velocity"][0] * w) / before)
 
 
-def test_a_wave_has_its_speed():
+def test_the_speed_of_a_wave_converges_at_second_order():
     """The speed is right to second order: half the cell size leaves a quarter of the error."""
     coarse, fine = (abs(phase((n, n // 4), n)) for n in (8, 16))
     assert 1e-4 < fine < 0.02
     assert 3.0 < coarse / fine < 5.0
 
 
-def test_no_motion_is_unfelt_and_no_energy_comes():
+def test_at_lowest_order_no_motion_is_unfelt_and_the_energy_falls():
     run = wave((8, 2), 0.1, 8, time=nv.TimeSteps(dt=0.1))
     run.run(0.8)
     total = run.ledger.column("kinetic") + run.ledger.column("stored")
@@ -55,7 +55,7 @@ def test_no_motion_is_unfelt_and_no_energy_comes():
     assert abs(run.ledger.column("closure")[1:]).max() < 1e-9
 
 
-def test_both_solvers_give_one_answer():
+def test_both_solvers_agree_at_lowest_order():
     ends = []
     for solver in ("coupled", "split"):
         run = wave((8, 2), 0.1, 8, solver=solver)
@@ -66,7 +66,7 @@ def test_both_solvers_give_one_answer():
     assert abs(ends[0] - ends[1]).max() < 1e-7
 
 
-def test_what_needs_second_derivatives_is_refused():
+def test_hyperviscosity_is_refused_at_lowest_order():
     law = nv.HyperViscosity(mu=0.1, p=4.0)
     model = nv.Model(material=nv.ReferentialNeoHookean(K_e=K, G_e=G), hyperviscosity=law)
     with pytest.raises(ParameterError, match=r"hyperviscosity.*None with nv\.Discretisation\(k=1\)"):

@@ -293,7 +293,7 @@ def rows():
 
 @pytest.mark.filterwarnings("ignore:.*encountered")
 @pytest.mark.parametrize(("what", "said"), rows())
-def test_nonsense_is_refused_and_nothing_written(what, said, tmp_path, monkeypatch):
+def test_invalid_calls_are_refused_and_nothing_is_written(what, said, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(nv.NgviscoError, match=said):
         eval(what, names())
@@ -326,7 +326,7 @@ def test_an_observer_does_not_set_the_time(mesh):
     assert run.t == DT
 
 
-def test_a_refined_mesh_ends_the_run():
+def test_a_mesh_refined_during_a_run_ends_the_run():
     mesh = box((1, 1), maxh=0.7)
     run = simulation(mesh)
     run.run(DT)
@@ -338,7 +338,7 @@ def test_a_refined_mesh_ends_the_run():
         run.run(2 * DT)
 
 
-def test_what_is_flat_has_no_section(mesh, tmp_path):
+def test_a_plane_mesh_has_no_section(mesh, tmp_path):
     run = simulation(mesh, nv.VTKSeries(tmp_path / "vtk"))
     run.run(DT)
     with pytest.raises(nv.ParameterError, match="section = 'x': expected no section"):
@@ -354,7 +354,7 @@ def test_a_damaged_series_is_refused_by_its_name(content, tmp_path):
         read_pvd(tmp_path / "fields.pvd")
 
 
-def test_no_state_out_of_turn_stays_in_a_series(mesh, tmp_path):
+def test_a_resumed_run_drops_states_that_an_interrupted_run_wrote(mesh, tmp_path):
     """A resumed run drops from its series the last state that the interrupted run wrote."""
 
     def files():

@@ -77,7 +77,7 @@ def momentum(run):
     ("name", "solver"),
     others_by_ci(product(STATES, ("split", "coupled")), *product(STATES, ["split"])),
 )
-def test_a_jump_does_not_push_the_body(name, solver):
+def test_a_jump_of_the_state_does_not_move_the_body(name, solver):
     run, change = thrown(name, solver=solver)
     assert change <= STATES[name][2]
     assert abs(run.ledger.column("closure_relative")).max() <= 1e-10
@@ -119,14 +119,14 @@ def nothing(self, u, w):
     return []
 
 
-def test_without_the_balance_of_inertia_momentum_is_lost(monkeypatch):
+def test_momentum_is_lost_without_the_balance_of_inertia(monkeypatch):
     """A negative control."""
     monkeypatch.setattr(MomentumBalance, "cells", nothing)
     monkeypatch.setattr(MomentumBalance, "facets", nothing)
     assert thrown("quadratic", solver="coupled")[1] > 1e-9
 
 
-def test_by_the_mean_of_both_sides_another_energy_than_a_quadratic_one_loses_momentum(monkeypatch):
+def test_a_nonquadratic_energy_loses_momentum_without_its_facet_correction(monkeypatch):
     """A negative control, in which the ledger closes."""
     monkeypatch.setattr(TangentForce, "excess", lambda self, u: 0.0 * u.parts[TangentGap.name])
     assert thrown("neo-Hookean, B", solver="coupled")[1] > 1e-7

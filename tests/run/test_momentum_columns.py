@@ -97,7 +97,7 @@ def run_between(walls, scheme="backward-euler", solver="coupled", **options) -> 
 
 
 @pytest.mark.parametrize(("between", "scheme"), each_once(WALLS, SCHEMES))
-def test_momentum_changes_by_the_impulses_and_by_what_the_columns_say(between, scheme):
+def test_momentum_changes_by_the_impulses_and_defects_of_the_ledger(between, scheme):
     run = run_between(WALLS[between], scheme)
     before = momenta(run)
     ledger = run.run(until=0.15)
@@ -113,7 +113,7 @@ def test_momentum_changes_by_the_impulses_and_by_what_the_columns_say(between, s
 
 
 @pytest.mark.parametrize(("between", "scheme"), each_once(["slip", "a moving lid"], SCHEMES))
-def test_the_impulse_of_walls_is_that_of_their_reactions(between, scheme):
+def test_the_impulse_of_a_wall_equals_its_reaction_times_the_step(between, scheme):
     """The impulse is compared with ``WallForces``, which takes the rows of the residual that are not
     solved."""
     forces = nv.WallForces()
@@ -181,7 +181,7 @@ def test_momentum_of_bodies_of_different_mass_is_balanced():
     assert abs(left(ledger)).max() < 1e-10 * before[0]
 
 
-def test_what_a_jump_makes_of_nothing_is_in_the_columns():
+def test_momentum_created_at_a_jump_is_a_defect_in_the_ledger():
     """A body with a jump of the strain is thrown in a periodic box without load: all change of momentum is a
     defect."""
 
@@ -241,7 +241,7 @@ def thrown(**options) -> nv.Simulation:
     return nv.Simulation(box((1, 1), 0.35, periodic="xy"), model, dt=0.02, initial=start, **options)
 
 
-def test_inertia_keeps_momentum_and_what_it_loses_of_rotations_is_seen():
+def test_inertia_keeps_momentum_and_its_loss_of_angular_momentum_is_a_column():
     """v . e is not in the space of rho, so that the skew form alone loses up to 3e-4 here."""
     ledger = thrown(scheme="midpoint").run(until=0.1)
     size = ledger.column("momentum_size").max()
@@ -252,7 +252,7 @@ def test_inertia_keeps_momentum_and_what_it_loses_of_rotations_is_seen():
     assert 1e-10 < lost < 1e-3
 
 
-def test_jumps_of_smooth_states_push_nothing():
+def test_jumps_of_smooth_states_create_no_momentum():
     """Neither the trace at which both tangents meet nor a quadrature that resolves the energy has a
     thrust."""
     ledger = thrown().run(until=0.1)
@@ -307,7 +307,7 @@ def test_walls_bear_the_torque_of_a_heated_block_that_they_clamp():
 
 
 @pytest.mark.parametrize("bodies", [0, 2])
-def test_only_matter_that_fills_the_domain_leaves_a_defect_to_the_walls(bodies, monkeypatch):
+def test_walls_bear_a_momentum_defect_only_of_matter_that_fills_the_domain(bodies, monkeypatch):
     """The defect is a hundredth of the stress's impulse, far above all momentum. A body may drift in its
     medium against viscosity, so that the whole defect counts."""
     parts = [

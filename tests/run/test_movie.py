@@ -60,7 +60,7 @@ def test_a_series_is_read_back(written):
         frame.scalar("F_14")
 
 
-def test_a_frame_of_fields_is_the_body_at_any_size_and_its_ends_are_faces():
+def test_a_frame_has_the_surface_and_the_sections_of_a_body_of_any_size():
     for size in (1e-12, 1e3):
         frame = frame_of(box((size, size, size), 0.6 * size), {"x": x}, pieces=2)
         assert frame.scalar("x") == pytest.approx(frame.points[:, 0], abs=1e-14 * size)
@@ -103,7 +103,7 @@ def test_an_mp4_is_written_with_ffmpeg_and_refused_without(written, tmp_path, mo
     assert not list(tmp_path.glob("other*"))
 
 
-def test_a_scene_of_a_series_has_its_times_and_the_inside(written, tmp_path):
+def test_a_scene_of_a_series_has_its_times_and_values_inside_the_body(written, tmp_path):
     place, run = written
     write_scene_of_series(place, tmp_path / "scene.html", ["density", "velocity"], "a body")
     data = data_of(tmp_path / "scene.html")
@@ -184,7 +184,7 @@ def test_a_picture_says_its_time_and_its_plane(tmp_path):
     ("size", "field", "limits"),
     [((1, 1), 5 + x, (5, 6)), ((1, 1, 1), 7 + x, (7, 8)), ((1, 1), 7 + 1e-12 * x, (6.65, 7.35))],
 )
-def test_colours_of_a_picture_are_of_its_fields_range(tmp_path, monkeypatch, size, field, limits):
+def test_colours_of_a_picture_span_the_range_of_the_field(tmp_path, monkeypatch, size, field, limits):
     """If a field varies by rounding only, the range is a tenth of its value."""
     figures = []
     monkeypatch.setattr("ngvisco.run.pictures.save", lambda figure, path: figures.append(figure))
@@ -194,7 +194,7 @@ def test_colours_of_a_picture_are_of_its_fields_range(tmp_path, monkeypatch, siz
 
 
 @pytest.mark.parametrize("text", ["w", "x=", "x=a", "x=nan", "", "x=9"])
-def test_a_plane_that_is_none_or_misses_the_body_is_refused(tmp_path, text):
+def test_an_invalid_plane_and_a_plane_beside_the_body_are_refused(tmp_path, text):
     with pytest.raises(nv.ParameterError, match=r"[Ss]ection"):
         plot_fields(box((1, 1, 1), 1.0), [("x", x)], tmp_path / "a.png", section=CrossSection.parse(text))
 
@@ -302,7 +302,7 @@ def test_unknown_fields_and_tensors_are_refused_for_a_scene(tmp_path):
         write_scene(mesh, {}, tmp_path / "scene.html")
 
 
-def test_colours_are_not_set_by_a_spike_and_those_of_rates_are_logarithmic():
+def test_colours_ignore_spikes_and_are_logarithmic_for_rates():
     even = np.linspace(1.0, 2.0, 1000)
     plain = Colours.of("pressure", even)
     assert (plain.norm.vmin, plain.norm.vmax, plain.extend) == (1.0, 2.0, "neither")
@@ -316,7 +316,7 @@ def test_colours_are_not_set_by_a_spike_and_those_of_rates_are_logarithmic():
     assert Colours.of("J", np.ones(9)).norm.vmin < 1 < Colours.of("J", np.ones(9)).norm.vmax
 
 
-def test_lengths_are_shown_in_a_unit_of_their_size_and_short_sides_by_their_ends(tmp_path):
+def test_axes_have_a_unit_of_their_size_and_short_axes_show_their_ends(tmp_path):
     sizes = {4e4: "km", 1e3: "m", 1.0: "m", 5e-3: "mm", 3e-5: "µm", 1e-12: "nm"}
     assert {size: unit_of_length(size)[0] for size in sizes} == sizes
     mesh = box((1e4, 4e4), 2e4)

@@ -94,7 +94,7 @@ def test_ledger_closes_and_every_branch_dissipates(rule, branches, solver, dim, 
 )
 @pytest.mark.parametrize("solver", ["coupled", "split"])
 @pytest.mark.filterwarnings("ignore::ngvisco.DefectWarning")
-def test_one_branch_is_the_material_to_the_bit(material, creep, solver):
+def test_a_network_of_one_branch_equals_its_material_bitwise(material, creep, solver):
     alone = simulation(material, creep=creep, solver=solver).run(0.1)
     of_one = simulation(Network(branches={"one": Branch(material=material, creep=creep)}), solver=solver)
     ledger = of_one.run(0.1)
@@ -104,7 +104,7 @@ def test_one_branch_is_the_material_to_the_bit(material, creep, solver):
         assert np.array_equal(alone.column(column), ledger.column(name), equal_nan=True), column
 
 
-def test_stresses_and_creep_rates_are_those_of_each_branch_alone():
+def test_each_branch_has_the_stress_and_creep_rate_that_it_has_alone():
     """At the end of a run each branch has the Mandel stress of its own energy at its own tensors."""
     made = network(nv.Norton(A=0.3, n=3), 3)
     run = simulation(made, scheme="midpoint")
@@ -161,7 +161,7 @@ HEATED = {
 
 @pytest.mark.filterwarnings("ignore::ngvisco.DefectWarning", "ignore::ngvisco.InputWarning")
 @pytest.mark.parametrize("around", HEATED)
-def test_what_wraps_a_material_wraps_a_network(around):
+def test_a_wrapper_of_materials_wraps_a_network(around):
     made = HEATED[around](network(nv.Creep(G_m=2.0)))
     run = simulation(made, solver="split")
     ledger = run.run(0.1)
@@ -204,7 +204,7 @@ def test_named_branches_break_and_the_others_bear_on(small):
     assert abs(nothing) < 0.1 * spring
 
 
-def test_damage_of_branches_that_there_are_not_is_refused():
+def test_damage_of_unknown_branches_is_refused():
     with pytest.raises(nv.UnknownNameError, match="unknown branch 'slaw'; did you mean 'slow'"):
         nv.Damaged(material=network(None), G_c=1.0, length=0.1, breaking=["slaw"])
     with pytest.raises(nv.ParameterError, match="the material has no branches"):
@@ -257,13 +257,13 @@ def test_a_network_goes_on_over_meshes_that_follow_a_field():
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_what_is_no_network_is_refused(name):
+def test_an_invalid_network_is_refused(name):
     branches, said = WRONG[name]
     with pytest.raises(nv.ParameterError, match=said):
         Network(branches=branches)
 
 
-def test_a_model_refuses_what_does_not_go_with_a_network():
+def test_laws_that_do_not_go_with_a_network_are_refused():
     with pytest.raises(nv.ParameterError, match="whose branches have flow rules"):
         nv.Model(material=network(None), creep=nv.Creep(G_m=1.0))
     with pytest.raises(nv.ParameterError, match=r"LinearElastic\.K_e = 0\.0: expected a number > 0"):
@@ -322,7 +322,7 @@ def test_a_body_may_be_a_network(solver):
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_a_network_is_that_of_a_body_alone():
+def test_a_network_and_one_body_of_this_network_agree():
     made, viscosity = network(RULES["Norton, n = 3"]), nv.StokesViscosity(K_v=0.05, G_v=0.05)
     initial = nv.Initial(velocity=SWIRL)
     bodies = [nv.Body(name="all", material=made, viscosity=viscosity, density=1.0)]
@@ -337,7 +337,7 @@ def test_a_network_is_that_of_a_body_alone():
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_gradients_know_the_parameters_of_branches():
+def test_gradients_have_the_parameters_of_branches():
     """Exact derivatives by a branch's moduli are those of central differences."""
     parts = {
         "spring": SPRING,

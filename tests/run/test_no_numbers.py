@@ -98,7 +98,7 @@ def test_a_coupled_step_at_a_bound_is_refused_after_few_iterations():
     assert 5 <= len(lengths) <= 14 and 100 < len(iterations(caught.value.history)) < 250
 
 
-def test_the_limiter_draws_a_state_into_the_domain_of_its_energy():
+def test_the_limiter_moves_a_state_into_the_domain_of_its_energy():
     run = sheared(GENT, 1.0, "coupled")
     z, bounds = run.rothe_step.state.components[1], Bounds(run.rothe_step, run.sampler)
     values = run.rothe_step.state.vec.FV().NumPy()[run.rothe_step.layout.ranges["z"]]
@@ -131,7 +131,7 @@ def test_start_values_out_of_the_domain_are_refused():
         ({"a": lambda B, J: (tr(B) - 3) * (tr(B) - 3) + J - 0.99}, "a convex set"),
     ],
 )
-def test_bounds_that_are_none_are_refused(bounds, said):
+def test_invalid_bounds_of_a_material_are_refused(bounds, said):
     with pytest.raises(nv.ParameterError, match=re.escape("CustomMaterial.bounds") + f".*{said}"):
         nv.CustomMaterial(transported=BY_B, stored_energy=limited, bounds=bounds)
 
@@ -153,7 +153,7 @@ class Misnamed(nv.ReferentialNeoHookean):
         return super().positive(z) | {"Jay": {"J - 0.1": z["J"] - 0.1 if "J" in z else z["A"]}}
 
 
-def test_a_bound_of_no_variable_is_named():
+def test_a_bound_of_an_unknown_variable_is_named():
     material = Misnamed(K_e=2.0, G_e=1.0, elastic_state="B")
     with pytest.raises(nv.errors.UnknownNameError, match=r"Misnamed\.positive.*'Jay'"):
         nv.Simulation(box((1, 1), 1.0), nv.Model(material=material), dt=DT)
@@ -173,7 +173,7 @@ class Pole(PointTerm):
 
 
 @pytest.mark.parametrize("adaptive", [None, nv.AdaptiveSteps(dt_min=0.02, dt_max=0.04)])
-def test_a_rate_that_is_no_number_rejects_the_step(adaptive):
+def test_a_rate_that_is_not_finite_rejects_the_step(adaptive):
     run = small_run(
         terms=[Pole()], time=nv.TimeSteps(dt=0.04, adaptive=adaptive, **({} if adaptive else {"halvings": 1}))
     )
@@ -183,7 +183,7 @@ def test_a_rate_that_is_no_number_rejects_the_step(adaptive):
     assert run.ledger.rows[-1]["time"] == run.t >= 0.04 and np.isfinite(run.ledger.column("closure")).all()
 
 
-def test_a_row_that_is_no_number_is_not_taken(monkeypatch):
+def test_a_ledger_row_that_is_not_finite_rejects_the_step(monkeypatch):
     run = small_run()
     run.advance()
     measured = run.ledger._measured
@@ -196,7 +196,7 @@ def test_a_row_that_is_no_number_is_not_taken(monkeypatch):
 
 
 @pytest.mark.parametrize("what", ["probe", "line", "force", "integral"])
-def test_an_observer_that_notes_no_number_ends_the_run(what, monkeypatch):
+def test_an_observer_with_a_value_that_is_not_finite_ends_the_run(what, monkeypatch):
     seen = {
         "probe": nv.Probes([(0.5, 0.5)], ["density"]),
         "line": nv.LineSamples((0.1, 0.1), (0.9, 0.1), 3, ["density"]),

@@ -31,13 +31,13 @@ def test_a_simulation_shows_its_model_and_its_energies():
     assert "<polyline" in run.ledger._repr_html_() and "largest |closure|" in words(run.ledger._repr_html_())
 
 
-def test_titles_cannot_write_into_the_page():
+def test_titles_cannot_insert_code_into_the_page():
     ledger = {name: np.array(values) for name, values in small().run(0.02).frame().reset_index().items()}
     page = results_html("<script>alert(1)</script>", 0.02, ledger)
     assert "<script" not in page and "<script>" in words(page)
 
 
-def test_results_show_themselves(tmp_path):
+def test_results_are_displayed_in_a_notebook(tmp_path):
     from ngvisco.case.build import parse_case
 
     text = A_BODY + "[time]\ndt = 0.1\nuntil = 0.1\n"

@@ -97,7 +97,7 @@ def test_lines_are_closed_with_the_body_on_the_left_or_end_at_the_boundary():
     assert Moments.of(cut(lambda X, Y: X - 2).inside) is None
 
 
-def test_matter_that_turns_as_a_whole_or_round_a_shape_at_rest_has_its_rate():
+def test_the_turning_rate_is_that_of_rigid_rotation_and_of_tank_treading():
     """The motions are a rigid rotation, an elliptic one that leaves an ellipse in place, and a stretching
     that turns nothing."""
     turn, c, s = np.array([[0, -0.7], [0.7, 0]]), math.cos(ANGLE), math.sin(ANGLE)
@@ -112,7 +112,7 @@ def test_matter_that_turns_as_a_whole_or_round_a_shape_at_rest_has_its_rate():
 HERE = np.zeros((1, 2))  # the displacement of an outline in a domain without periods
 
 
-def test_outlines_have_their_distance():
+def test_two_outlines_have_the_distance_of_their_closest_points():
     left = cut(lambda X, Y: 0.15 - np.hypot(X - 0.2, Y - 0.4))
     right = cut(lambda X, Y: 0.2 - np.hypot(X - 0.75, Y - 0.5))
     exact = math.hypot(0.55, 0.1) - 0.35
@@ -174,7 +174,7 @@ def test_stress_traction_and_width_are_measured_in_three_dimensions():
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_gaps_are_between_bodies_that_have_a_place():
+def test_gaps_are_measured_between_two_bodies_with_places():
     run = run_with(("one", nv.Ball((0.25, 0.5), 0.15)), ("two", nv.Ball((0.7, 0.5), 0.2)), maxh=0.07)
     assert measured(run, "gap")("gap_one_two") == pytest.approx(0.1, abs=0.007)  # a tenth of a cell
     with pytest.raises(nv.ParameterError, match=r"'gap'.*two bodies"):
@@ -203,7 +203,7 @@ def test_a_body_that_dissolves_is_warned_of_once():
 
 
 @pytest.mark.parametrize("slit", [0.1, 0.27, 0.4])
-def test_a_body_whose_outline_meets_itself_is_warned_of_once(slit):
+def test_a_body_whose_outline_touches_itself_is_warned_of_once(slit):
     """A block has a slit of half a cell, of 1.35 cells or of two cells, which does not divide the block."""
     in_slit = IfPos((slit / 2) ** 2 - (x - 0.5) ** 2, y - 0.4, -1.0)
     where = IfPos(in_slit, -1.0, 0.16 - (y - 0.5) ** 2)
@@ -218,7 +218,7 @@ def test_a_body_whose_outline_meets_itself_is_warned_of_once(slit):
 
 
 @pytest.mark.parametrize("slit", [0.1, 0.45])
-def test_in_space_too_a_body_whose_surface_meets_itself_is_warned_of(slit):
+def test_a_body_whose_surface_touches_itself_in_space_is_warned_of(slit):
     """Half of the cube is a block with a slit of half a cell or of 1.8 cells."""
     mesh, elastic = structured_box((1, 1, 1), (6, 6, 6)), nv.ReferentialNeoHookean(K_e=10.0, G_e=2.0)
     in_slit = IfPos((slit / 2) ** 2 - (x - 0.5) ** 2, y - 0.4, -1.0)
@@ -234,7 +234,7 @@ def test_in_space_too_a_body_whose_surface_meets_itself_is_warned_of(slit):
     assert all(re.search(r"body 'c' face each other at a distance of [01]\.\d", text) for text in said)
 
 
-def test_a_convex_body_and_one_at_walls_do_not_meet_themselves():
+def test_a_convex_body_and_a_body_at_walls_do_not_touch_themselves():
     elastic = nv.ReferentialNeoHookean(K_e=10.0, G_e=2.0)
     for mesh, where in (
         (structured_box((1, 1, 1), (5, 5, 5)), nv.Ball((0.45, 0.52, 0.5), 0.3)),

@@ -78,7 +78,7 @@ def test_stresses_of_bodies_are_written_in_less_time_than_a_step_takes_and_with_
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_a_file_of_stresses_costs_less_than_a_tenth_of_a_step(tmp_path):
+def test_writing_a_file_of_stresses_costs_less_than_a_tenth_of_a_step(tmp_path):
     """The test compares medians of processor time, for bodies that move on 420 cells."""
     spent = {"step": [], "file": []}
     series = nv.VTKSeries(tmp_path, every=1, fields=["von_mises"], subdivision=2)
@@ -146,7 +146,7 @@ def test_progress_prints_every_nth_step_and_the_last(tmp_path, capsys):
     assert "closure" in printed and "0 s left" in printed
 
 
-def test_what_is_no_energy_is_not_drawn_as_one(tmp_path, monkeypatch):
+def test_entropies_and_states_are_not_drawn_as_energies(tmp_path, monkeypatch):
     """Entropies have their own axes, and a share of the stored energy is a state, not a rate."""
     drawn = {}
     monkeypatch.setattr("ngvisco.run.plots.save", lambda figure, path: drawn.update({path.stem: figure}))

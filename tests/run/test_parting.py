@@ -59,7 +59,7 @@ SETTINGS = {
 
 
 @pytest.mark.parametrize("name", others_by_ci(SETTINGS, "about an axis"))
-def test_both_solvers_agree_and_the_identity_holds(name):
+def test_both_solvers_agree_and_the_ledger_closes_where_bodies_part(name):
     setting = SETTINGS[name]
     runs = [pulled(solver=solver, **setting) for solver in ("split", "coupled")]
     for run in runs:
@@ -80,7 +80,7 @@ def test_a_run_goes_on_to_the_bit(tmp_path):
     assert_goes_on(pulled, tmp_path / "run.h5", 0.4, 2)
 
 
-def test_an_opening_strains_no_body_and_a_stretch_along_the_interface_does():
+def test_an_opening_gap_strains_no_body_and_a_stretch_along_the_interface_does():
     """D = n x n and n x t + t x n are openings; t x t - n x n, which keeps the volume, is not."""
     n, t = np.array([0.6, 0.8, 0.0]), np.array([-0.8, 0.6, 0.0])
     P, zero = constant(np.outer(n, n)), np.zeros((3, 3))

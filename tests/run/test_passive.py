@@ -50,7 +50,7 @@ def through_a_periodic_cell(maxh=0.3, dt=0.02):
     return swirling(mesh, dt, velocity=velocity, viscosity=viscosity, passive=ALL[:2])
 
 
-def test_what_leaves_a_periodic_cell_comes_in_again():
+def test_passive_fields_enter_a_periodic_cell_where_they_leave_it():
     """F_tot is F without creep, and the mean displacement is the integral of the mean velocity."""
     run = through_a_periodic_cell()
     run.run(0.4)
@@ -61,7 +61,7 @@ def test_what_leaves_a_periodic_cell_comes_in_again():
     assert run.sampler.extrema(moved)[1] < 0.41
 
 
-def test_nothing_grows_in_curved_cells_at_rest():
+def test_passive_fields_do_not_grow_in_curved_cells_at_rest():
     """The old value is integrated by the rule of the matrix; with another rule constants grew
     exponentially."""
     run = small_run(disc(1.0, maxh=0.7), passive=("F_tot", "reference_map"))

@@ -183,7 +183,7 @@ def without_interfaces(mesh):
         pytest.param(3, "top", "coupled", marks=pytest.mark.long),
     ],
 )
-def test_run_with_an_interface_is_that_on_the_same_cells_without(dim, interface, solver):
+def test_a_run_with_an_interface_equals_that_on_the_same_cells_without(dim, interface, solver):
     """The interface may have the name of a wall that has no slip, or is pulled along."""
     mesh = with_inclusion(dim, interface, 0.4 if dim == 2 else 0.8)
     plain = without_interfaces(mesh)
@@ -201,7 +201,7 @@ def test_run_with_an_interface_is_that_on_the_same_cells_without(dim, interface,
         assert a == pytest.approx(b, rel=1e-9, abs=1e-12), name
 
 
-def test_glued_shapes_without_names_make_a_run():
+def test_a_mesh_of_glued_shapes_without_names_runs():
     """Netgen then calls both the walls and the interface ``default``."""
     whole, disc = occ.Rectangle(1, 1).Face(), occ.Circle((0.6, 0.5), 0.2).Face()
     mesh = Mesh(occ.OCCGeometry(occ.Glue([whole - disc, disc]), dim=2).GenerateMesh(maxh=0.3)).Curve(3)
@@ -213,7 +213,7 @@ def test_glued_shapes_without_names_make_a_run():
     assert run.fields["velocity"](mesh(0.6, 0.3))[1] < -0.001  # across the disc's lowest point
 
 
-def test_part_of_a_boundary_that_is_wall_and_interface_is_refused():
+def test_a_boundary_part_that_is_both_wall_and_interface_is_refused():
     """One edge of the file's geometry continues from the wall into the body."""
     plain = NetgenMesh(dim=2)
     points = [(0, 0), (1, 0), (1, 1), (0, 1)]

@@ -79,7 +79,7 @@ def test_an_ellipse_over_the_boundary_has_the_measures_of_one_in_the_middle(move
     assert of_over == pytest.approx(slopes, rel=1e-8)
 
 
-def test_an_ellipse_over_the_wall_of_a_channel_is_not_put_together():
+def test_an_ellipse_is_not_joined_across_the_walls_of_a_channel():
     """Only identified boundaries are crossed: half of the ellipse is outside the wall."""
     over, _ = measured((1.0, 0.5), "x")
     assert over["long_L"] == pytest.approx(0.5, rel=0.04)
@@ -106,7 +106,7 @@ def test_a_layer_around_a_channel_stays_in_its_place():
     assert row["body_x"] == pytest.approx(0.5, rel=1e-9)
 
 
-def test_a_layer_is_put_together_across_the_boundaries_that_it_lies_on():
+def test_a_layer_is_joined_across_the_periodic_boundaries_that_it_crosses():
     """The layer meets its own image in x only: the halves at the bottom and the top are one layer."""
     layer = nv.Block((-1.0, -1.0), (2.0, 0.125)) | nv.Block((-1.0, 0.75), (2.0, 2.0))
     row = row_of(layer, structured_box((1.0, 1.0), (8, 8), periodic="xy"), ["deformation"])

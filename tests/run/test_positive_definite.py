@@ -29,7 +29,7 @@ def stirred(branches, m, speed=1.0, **options):
 
 
 @pytest.mark.parametrize("solver", ["coupled", "split"])
-def test_the_columns_are_the_least_eigenvalues_of_each_branch(solver):
+def test_eigenvalue_columns_are_the_least_eigenvalues_of_each_branch(solver):
     run = stirred({"chains": CHAINS, "spring": SPRING}, 1, dt=0.1, solver=solver)
     ledger = run.run(0.2)
     for name in ("chains", "spring"):
@@ -42,7 +42,7 @@ def test_the_columns_are_the_least_eigenvalues_of_each_branch(solver):
 
 
 @pytest.mark.parametrize("branch", [CHAINS, SPRING], ids=["barrier", "linear"])
-def test_constants_in_cells_stay_positive_definite_in_steps_for_which_it_is_proved(branch):
+def test_constants_in_cells_stay_positive_definite_in_steps_within_the_proof(branch):
     """tau 2 lambda_max(sym L) is 0.2, below the limit 1, and the tensors that jump have an eigenvalue of
     1/9."""
     ledger = stirred({"one": branch}, 0, speed=0.3, dt=0.1, solver="split").run(0.3)
@@ -51,7 +51,7 @@ def test_constants_in_cells_stay_positive_definite_in_steps_for_which_it_is_prov
     assert ledger.column("limited_cells").max() == 0
 
 
-def test_a_mean_is_refused_and_a_point_is_limited_by_the_branch_s_name():
+def test_an_indefinite_mean_is_refused_and_an_indefinite_point_limited_by_branch():
     """Two eigenvalues of B are negative, while det B is positive."""
     step = stirred({"chains": CHAINS, "spring": SPRING}, 1, dt=0.1).ledger.step
     bounds, states = Bounds(step, Sampler(step.mesh, step.quadrature)), step.layout.states

@@ -43,7 +43,7 @@ def test_points_on_straight_and_curved_walls_count():
     assert probes.rows[0][2:] == pytest.approx([1.0] * 9)
 
 
-def test_integrals_are_those_of_the_ledger():
+def test_integrals_of_densities_equal_the_ledger():
     given = {"mass": "density", "kinetic": "0.5*density*(velocity_1**2 + velocity_2**2)", "area": CF(1.0)}
     integrals = nv.Integrals(given | {"moment": "density*x if x < 2 else 0"})
     run = small([integrals])
@@ -83,7 +83,7 @@ def test_forces_on_walls_balance_weight_and_momentum(walls, options, bound):
     assert forces.column("step").tolist() == [1, 2, 3]
 
 
-def test_torque_on_a_curved_wall_takes_the_angular_momentum():
+def test_torque_on_a_curved_wall_balances_the_angular_momentum():
     """A spinning disc is braked by the friction of its wall, where v.n = 0 is held by a multiplier."""
     model = nv.Model(material=nv.LinearElastic(K_e=10.0, G_e=5.0), viscosity=VISCOSITY)
     forces = nv.WallForces(about=(0, 0))
@@ -123,14 +123,14 @@ def test_forces_of_a_periodic_strip_of_one_cell_balance_its_momentum():
     assert found[0] == pytest.approx(found[1], rel=1e-6)
 
 
-def test_forces_need_a_wall():
+def test_wall_forces_without_walls_are_refused():
     mesh = structured_box((1, 1), (2, 2), periodic=("x", "y"))
     with pytest.raises(nv.ParameterError, match=r"WallForces\.walls = 'no walls'"):
         nv.Simulation(mesh, nv.Model(material=MATERIAL), dt=0.01, observers=[nv.WallForces()]).run(0.01)
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 1, 1)])
-def test_each_wall_keeps_its_own_pressure_at_corners(size):
+def test_walls_have_their_own_pressures_up_to_corners(size):
     """A body is at rest between walls without slip: each wall bears T = phi I along its normal."""
     forces = nv.WallForces()
     mesh = box(size, 0.6)
@@ -165,7 +165,7 @@ def test_a_resumed_table_is_that_of_the_uninterrupted_run(tmp_path):
 
 
 @pytest.mark.parametrize("scheme", ["backward-euler", "midpoint"])
-def test_a_finished_run_that_is_resumed_keeps_the_last_steps_forces(tmp_path, scheme):
+def test_resuming_a_finished_run_keeps_the_forces_of_the_last_step(tmp_path, scheme):
     """The resumed run cannot compute these forces again, but the table has them."""
 
     def run():

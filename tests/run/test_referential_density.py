@@ -49,7 +49,7 @@ def test_the_density_follows_from_J(material, initial, density):
     assert at(run, run.fields["density"]) == pytest.approx(density, rel=1e-13)
 
 
-def test_both_are_taken_where_they_agree():
+def test_density_and_J_may_both_be_given_if_they_agree():
     started(SOLID, F=F_0, density=2.5 / Det(F_0))
     started(FLUID, values={"J": 1.25}, density=2.0)
     started(nv.BarotropicFluid(B=1.0, gamma=1.4), values={"J": 1.25}, density=7.0)  # without rho_R: free
@@ -129,7 +129,7 @@ def built(*settings):
     return made.simulation(made.mesh())
 
 
-def test_case_of_a_fluid_by_its_state_equation():
+def test_a_case_may_have_a_fluid_by_its_state_equation():
     run = built()
     assert at(run, run.fields["pressure"]) == pytest.approx(3 * 2.53**1.7, rel=1e-3)
     assert (run.model.viscosity.K_v, run.model.viscosity.G_v) == (pytest.approx(5 / 3), pytest.approx(1.0))
@@ -160,7 +160,7 @@ def test_hash_of_a_case_without_a_density_is_that_of_the_default():
         ("rheology.viscosity.notation='kelvin'", ["rheology.viscosity.notation"]),
     ],
 )
-def test_faults_are_those_of_their_keys(setting, words):
+def test_faults_of_referential_densities_are_refused_under_their_keys(setting, words):
     with pytest.raises(nv.CaseError) as caught:
         built(setting)
     assert all(word in str(caught.value) for word in words), str(caught.value)
@@ -183,7 +183,7 @@ until = 0.04
 """
 
 
-def test_an_energy_per_mass_differs_from_that_per_volume_by_the_density():
+def test_an_energy_per_mass_is_multiplied_by_the_referential_density():
     def material(*settings, head=""):
         return parse_case(head + CUSTOM, "case", Path("."), settings).model(2).material
 

@@ -53,7 +53,7 @@ def test_a_pulse_is_followed(solver):
     assert abs(centre - 0.5 - 2 * 0.8) < 0.1
 
 
-def test_bodies_keep_their_masses_and_tables_have_no_seam(tmp_path):
+def test_bodies_keep_their_masses_and_tables_continue_over_refinement(tmp_path):
     table = nv.Bodies(tmp_path / "bodies.csv")
     start = bodies(table, nv.VTKSeries(tmp_path / "vtk", every=5))
     run = nv.run_refined(start, nv.Refinement(field="disc_fraction", every=0.06), 0.2)
@@ -167,7 +167,7 @@ def test_cells_are_divided_where_the_norm_of_a_tensor_is_steep():
     assert marked[abs(centres - 0.5) < 0.2].all() and not marked[centres > 1.6].any()
 
 
-def test_at_rest_nothing_is_steep():
+def test_no_cell_of_a_body_at_rest_is_marked_as_steep():
     """At rest rates and stresses are rounding errors."""
     material = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
     run = nv.Simulation(box((1, 1), 0.3), nv.Model(material=material, creep=nv.Creep(G_m=5.0)), dt=0.02)

@@ -34,7 +34,7 @@ def found(material=NEO_HOOKEAN, dt=0.01, maxh=0.2, G_m=math.inf, velocity_scale=
     return scales(run)
 
 
-def test_numbers_are_those_of_their_definitions():
+def test_scales_and_numbers_follow_their_definitions():
     s = found(G_m=4.0)
     assert (s.length, s.kinematic_viscosity, s.velocity) == pytest.approx((1, 0.05, 0.5))
     assert s.maxwell == pytest.approx(4 / 20)
@@ -52,7 +52,7 @@ def test_numbers_are_those_of_their_definitions():
     )
 
 
-def test_advice_is_given_where_a_scale_is_missed():
+def test_advice_is_given_where_a_scale_is_not_resolved():
     assert found().advice == []
     (slow,) = found(dt=0.1).advice  # along the longer edge
     assert "shear waves cross the domain in 1.3 s, 13 steps" in slow and "dt <= 0.063 s" in slow
@@ -65,7 +65,7 @@ def test_advice_is_given_where_a_scale_is_missed():
     assert any("longitudinal waves" in line for line in sound)
 
 
-def test_advice_names_the_scheme_and_is_not_given_for_the_step_that_it_advises():
+def test_advice_names_the_scheme_and_is_satisfied_by_the_advised_step():
     from ngvisco.run.advice import Scales
     from ngvisco.timestepping.scheme import midpoint
 
@@ -77,7 +77,7 @@ def test_advice_names_the_scheme_and_is_not_given_for_the_step_that_it_advises()
     assert "the scheme midpoint does not resolve these waves" in said
 
 
-def test_advice_foresees_steps_that_are_hard_to_solve():
+def test_advice_warns_of_steps_that_are_hard_to_solve():
     """Advice reads the ratios of moduli and of densities, and names waves that the midpoint rule does not
     damp."""
     from ngvisco.run.advice import Scales
@@ -154,7 +154,7 @@ def column(steps=0, K_e=1e5, height=1.0, **options):
     return scales(run)
 
 
-def test_the_velocity_is_that_of_the_steps_taken_and_not_known_before():
+def test_the_velocity_scale_of_a_start_from_rest_is_known_after_a_step():
     """Free fall from rest would give 4.4 m/s, whereas under a static load the matter creeps to its place."""
     before, after = column(), column(steps=1)
     assert before.velocity == 0 and not any("v" in name.split(",")[0] for name in ["Courant"])
@@ -164,7 +164,7 @@ def test_the_velocity_is_that_of_the_steps_taken_and_not_known_before():
     assert not any("cells in a step" in line for line in after.advice)
 
 
-def test_a_strip_is_as_long_as_it_is_between_walls_and_slow_where_inertia_has_no_part():
+def test_a_strip_has_the_length_between_its_walls_and_is_slow_without_inertia():
     found = column()
     assert found.length == found.extent == pytest.approx(1.0) and found.is_slow
     assert found.advice == []
@@ -194,7 +194,7 @@ def test_the_overstress_is_compared_with_the_yield_stress():
     assert any("take a G_m 2.4 times smaller" in line for line in yields.advice)
 
 
-def test_bodies_are_measured_each_by_itself():
+def test_cells_across_each_body_are_counted():
     place = nv.Ball((0.5, 0.5), 0.15)
     run = of_bodies(nv.Body(name="disc", where=place, **STIFF), nv.Body(name="rest", **SOFT))
     cells = scales(run).bodies
@@ -242,7 +242,7 @@ def of_bodies(*bodies):
     return small_run(0.4, 0.01, bodies=bodies)
 
 
-def test_scales_of_bodies_are_those_of_each_by_itself():
+def test_scales_are_the_extremes_over_bodies():
     """The fastest waves are those of the stiff body, however small it is; layers and relaxation are those of
     the other body."""
     hard, soft = (scales(of_bodies(nv.Body(name="alone", **laws))) for laws in (STIFF, SOFT))
@@ -294,7 +294,7 @@ def warned(*materials, **options):
     ]  # warnings of bulk moduli are tested elsewhere
 
 
-def test_all_bodies_all_stresses_and_the_remedy_are_named():
+def test_a_warning_of_stress_at_rest_names_all_bodies_their_stresses_and_the_remedy():
     (message,) = warned(FLUID, TENSE, tense(6.0))
     for part in ("'b0', 'b1', 'b2'", " 0 Pa, 15 Pa, 6 Pa", "ReferentialNeoHookean", "Initial.F"):
         assert part in message
@@ -310,15 +310,15 @@ def test_all_bodies_all_stresses_and_the_remedy_are_named():
     ],
     ids=lambda m: type(m).__name__,
 )
-def test_bodies_without_stress_at_rest_are_not_warned_of(drop):
+def test_bodies_without_stress_at_rest_bring_no_warning(drop):
     assert warned(FLUID, drop) == []
 
 
-def test_bodies_of_one_material_are_not_warned_of():
+def test_bodies_of_one_material_bring_no_warning():
     assert warned(TENSE, TENSE) == []
 
 
-def test_a_start_of_the_user_s_own_is_not_warned_of():
+def test_a_given_start_brings_no_warning_of_stress_at_rest():
     assert warned(FLUID, TENSE, initial=nv.Initial(F=1.01 * Id(3))) == []
 
 
@@ -352,13 +352,13 @@ def require_rest(run: nv.Simulation) -> None:
 
 
 @pytest.mark.parametrize("material", list(materials()))
-def test_a_body_at_rest_closes(material):
+def test_the_ledger_of_a_body_at_rest_closes(material):
     """OldroydB had a closure of 5e-33 J over an energy of 0 J, and a warning of a relative closure of 2.0."""
     require_rest(run_of(material, density=2.3 + x, solver="coupled"))
 
 
 @pytest.mark.parametrize("solver", [by_ci("coupled"), "split"])
-def test_bodies_at_rest_close(solver):
+def test_the_ledger_of_bodies_at_rest_closes(solver):
     place, inner = nv.Ball(centre=(0.5, 0.35), radius=0.2), nv.ReferentialNeoHookean(**MODULI)
     outer = nv.ReferentialMooneyRivlin(K_e=3.3, G_e=0.1, G_mr=0.1)
     disc = nv.Body(name="disc", material=inner, density=1.7, viscosity=VISCOSITY, where=place)
@@ -366,12 +366,12 @@ def test_bodies_at_rest_close(solver):
     require_rest(run_of(None, viscosity=None, bodies=[disc, rest], solver=solver))
 
 
-def test_a_turned_body_at_rest_closes():
+def test_the_ledger_of_a_turned_body_at_rest_closes():
     turned = CF((0.8, 0.6, 0, -0.6, 0.8, 0, 0, 0, 1), dims=(3, 3))
     require_rest(run_of(viscosity=None, F=turned))
 
 
-def test_a_small_motion_is_still_held_to_account(monkeypatch):
+def test_a_wrong_dissipation_at_small_strains_opens_the_ledger(monkeypatch):
     """A negative control: a wrong dissipation at strains of 1e-5 opens the ledger of the same body."""
     wrong = Stokes.entries
 
@@ -386,7 +386,7 @@ def test_a_small_motion_is_still_held_to_account(monkeypatch):
         run_of(velocity=swirl).advance()
 
 
-def test_the_energy_of_a_body_at_rest_is_below_what_rounding_makes_of_it():
+def test_the_energy_of_a_body_at_rest_is_below_its_rounding():
     """The closure of such a body is therefore not measured by its energy."""
     run = run_of()
     run.run(0.2)
@@ -395,7 +395,7 @@ def test_the_energy_of_a_body_at_rest_is_below_what_rounding_makes_of_it():
     assert 0 < noise < 1e-10
 
 
-def test_numbers_say_how_many_cells_a_body_has_and_how_long_it_bears_shear():
+def test_numbers_count_the_cells_across_a_body_and_the_strains_that_it_bears():
     """The strains grow like the fourth power of the cells across: 8 cells bear 7.7 strains, 16 cells 16
     times as many."""
     values = {"length": 1.0, "cell": 0.1, "velocity": 0.0, "speeds": (0.0, 0.0), "kinematic_viscosity": 0.0}

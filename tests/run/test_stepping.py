@@ -87,7 +87,7 @@ def test_a_rejected_step_leaves_no_trace(why, monkeypatch):
     assert np.array_equal(values(run), values(short))
 
 
-def test_below_the_minimum_the_run_ends_with_what_was_tried(tmp_path, monkeypatch):
+def test_a_run_that_needs_a_step_below_the_minimum_ends_with_its_attempts(tmp_path, monkeypatch):
     stepping = nv.AdaptiveSteps(dt_min=0.004, dt_max=0.02)
     files = [nv.LedgerCSV(tmp_path / "ledger.csv"), nv.Checkpoints(tmp_path / "run.h5", every=100)]
     run = simulation(stepping, files)
@@ -110,7 +110,7 @@ def elastic(**options):
     return nv.Simulation(box((1, 1), 1.0), MODEL, **options)
 
 
-def test_parameters_of_time_steps_stand_for_them():
+def test_time_steps_and_separate_arguments_are_equivalent():
     steps = nv.TimeSteps(
         dt=0.1, scheme="midpoint", startup=2, limiter=False, velocity_scale=3.0, adaptive=ADAPTIVE
     )
@@ -121,7 +121,7 @@ def test_parameters_of_time_steps_stand_for_them():
         assert run.integrator.startup == 2 and run.bounds.limits is False
 
 
-def test_an_unknown_argument_is_named_with_its_likely_one():
+def test_an_unknown_argument_is_refused_with_the_nearest_name():
     with pytest.raises(TypeError, match=r"Simulation\(\): .* argument 'shceme'; did you mean 'scheme'"):
         elastic(dt=0.1, shceme="midpoint")
 
@@ -167,7 +167,7 @@ def test_a_step_that_is_not_solved_is_taken_in_quarters_and_the_run_goes_on(monk
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_what_is_written_every_so_many_steps_counts_whole_steps(monkeypatch, tmp_path):
+def test_output_intervals_count_whole_steps(monkeypatch, tmp_path):
     """Only the second step is divided into quarters; a resumed run keeps what was written before."""
 
     def fails_in_the_second(split, problem, guess):
@@ -202,7 +202,7 @@ def test_what_is_written_every_so_many_steps_counts_whole_steps(monkeypatch, tmp
         assert probes.column("time").tolist() == pytest.approx(whole)
 
 
-def test_halvings_are_an_option(monkeypatch):
+def test_the_number_of_halvings_is_an_option(monkeypatch):
     fails_above(monkeypatch, DT / 2)
     run = halving(halvings=0)
     with pytest.raises(nv.StepError, match="stalled"):
@@ -210,7 +210,7 @@ def test_halvings_are_an_option(monkeypatch):
 
 
 @pytest.mark.parametrize("halvings", [0, 1])
-def test_auto_asks_the_other_solver_where_no_part_is_solved(halvings, monkeypatch):
+def test_auto_uses_the_other_solver_if_no_part_of_a_step_is_solved(halvings, monkeypatch):
     """The coupled solver takes two steps; then the split solver is asked again, fails again, and is asked
     again after four more steps."""
     calls = []
@@ -231,7 +231,7 @@ def test_auto_asks_the_other_solver_where_no_part_is_solved(halvings, monkeypatc
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-12
 
 
-def test_adaptive_steps_ask_the_other_solver(monkeypatch):
+def test_adaptive_steps_use_the_other_solver(monkeypatch):
     fails_above(monkeypatch, 0.0)
     newton = nv.NewtonOptions(split=SplitOptions(chosen_from=(1, 1)))
     steps = nv.AdaptiveSteps(dt_min=DT / 2, dt_max=DT)
@@ -252,7 +252,7 @@ def test_where_no_solver_solves_a_step_both_are_named(monkeypatch):
             run.advance()
 
 
-def test_a_restart_knows_which_solver_is_at_hand(tmp_path, monkeypatch):
+def test_a_restart_continues_with_the_solver_in_use(tmp_path, monkeypatch):
     fails_above(monkeypatch, 0.0)
     newton = nv.NewtonOptions(split=SplitOptions(chosen_from=(1, 1)))
 
@@ -263,7 +263,7 @@ def test_a_restart_knows_which_solver_is_at_hand(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("solver", [by_ci("split"), "coupled"])
-def test_a_run_stops_within_a_step_and_goes_on_as_if_it_had_not(solver, tmp_path):
+def test_a_run_stopped_within_a_step_is_resumed_bitwise(solver, tmp_path):
     """The stop comes in the third iteration of the second step; the written state is the end of the first
     step."""
     whole = halving(solver=solver)
@@ -311,7 +311,7 @@ def test_restart_within_a_step_is_bitwise_identical(tmp_path, monkeypatch):
     assert whole.ledger.column("time")[3] == pytest.approx(0.75 * DT) and whole.t == 2 * DT
 
 
-def test_a_part_that_is_not_solved_ends_the_run_there(monkeypatch):
+def test_a_run_ends_before_a_part_of_a_step_that_is_not_solved(monkeypatch):
     calls, watch = [], Rejections()
     fails_above(monkeypatch, 0.0, calls)
     run = halving(observers=[watch])

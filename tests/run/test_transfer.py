@@ -116,7 +116,7 @@ def test_a_curved_domain_is_carried_over():
     assert abs(ledger.column("closure_relative")).max() < 1e-12
 
 
-def test_a_change_keeps_the_bodies_densities(tmp_path):
+def test_a_resumed_run_with_changed_densities_of_bodies_is_refused(tmp_path):
     """The amounts in the state are volumes, which with another density would not add up to rho."""
     path = tmp_path / "run.h5"
     with_bodies(observers=[nv.Checkpoints(path)]).run(0.02)
@@ -128,7 +128,7 @@ def test_a_change_keeps_the_bodies_densities(tmp_path):
         nv.resume_changed(with_bodies(reverse=True), path)
 
 
-def test_fields_of_python_functions_and_of_grids_are_those_functions():
+def test_fields_of_python_functions_and_of_grids_equal_those_functions():
     mesh = box((1, 2), 0.4)
     f = nv.function_field(mesh, lambda x, y: np.exp(x) * y, order=3)
     assert Integrate((f - exp(x) * y) ** 2, mesh) ** 0.5 < 1e-5

@@ -64,7 +64,7 @@ def test_the_papers_energy_has_both_regularisations_in_the_ledger() -> None:
     assert (ledger.column("stored_quadratic")[1:] > 0.1).all()
 
 
-def test_cauchy_stress_has_the_approximated_energy() -> None:
+def test_cauchy_stress_contains_the_approximated_energy() -> None:
     """T is a part by F plus (J zeta_J + phi_eps) I: its spherical part minus that of the conjugates is
     phi_eps."""
     run = simulation(nv.Yosida(material=NEO_HOOKEAN, eps=0.02))

@@ -76,7 +76,7 @@ def test_products_of_tangent_and_adjoint_are_equal(scheme, solver):
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_without_the_change_of_the_old_state_an_adjoint_is_wrong(monkeypatch):
+def test_an_adjoint_without_the_old_state_is_wrong(monkeypatch):
     """A negative control: the adjoint ignores the state from which a step starts."""
     monkeypatch.setattr(Starts, "transposed", lambda self, rows: 0 * rows)
     by_tangent, by_adjoint = directional(run, "midpoint", {"motion": OF["motion"]})
@@ -181,7 +181,7 @@ def test_a_field_has_a_density_of_derivatives():
     assert np.allclose(density, (up - down) / 2e-3, rtol=1e-5, atol=0)
 
 
-def test_a_probe_of_a_field_that_is_carried_otherwise_has_the_slope_of_each_time():
+def test_a_probe_of_a_carried_logarithm_has_the_slope_of_each_time():
     """The stiffness is the exponential of the carried field, so that its slope changes in time."""
     theta = nv.Parameter("theta", start=2 + x, mean="geometric")
     viscosity = nv.StokesViscosity(K_v=0.1, G_v=0.1)
@@ -199,7 +199,7 @@ def test_a_probe_of_a_field_that_is_carried_otherwise_has_the_slope_of_each_time
     assert np.allclose(adjoint, tangent, rtol=1e-8, atol=0)
 
 
-def test_the_derivative_by_the_density_field_sums_to_that_by_a_number():
+def test_densities_of_derivatives_by_the_density_sum_to_the_derivative_by_a_number():
     """If the whole density changes by one share, the integral is the number's own derivative."""
     simulation = run()
     found = nv.gradient(simulation, UNTIL, of=OF, by=["initial.density"], method="adjoint")
@@ -250,12 +250,12 @@ def test_a_misfit_is_half_the_sum_of_squares():
         ({"of": {"m": "kinetic at 0.06"}, "method": "tangent", "by": []}, "at least one parameter"),
     ],
 )
-def test_what_an_adjoint_does_not_know_is_refused(given, said):
+def test_gradients_that_the_adjoint_does_not_support_are_refused(given, said):
     with pytest.raises(nv.NgviscoError, match=said):
         nv.gradient(run(), UNTIL, **{"of": ["kinetic at 0.06"], "by": list(AT), "method": "adjoint"} | given)
 
 
-def test_a_density_is_of_scalar_fields_and_adjoints():
+def test_a_density_of_derivatives_needs_an_adjoint_and_a_scalar_field():
     simulation, _ = soft()
     found = nv.gradient(simulation, UNTIL, of=["kinetic at 0.06"], by=["viscosity.G_v"])
     with pytest.raises(nv.ParameterError, match="method='adjoint'"):

@@ -132,7 +132,7 @@ def test_forces_and_stresses_in_three_dimensions_have_derivatives():
     assert (abs(adjoint.jacobian - tangent.jacobian)[:, 0] / sizes).max() < 1e-6
 
 
-def test_without_one_of_its_parts_an_adjoint_is_wrong(monkeypatch):
+def test_an_adjoint_without_one_of_its_parts_is_wrong(monkeypatch):
     """Negative controls: the adjoint lacks the motion of the outline, the velocity within it, the
     averaged fraction, or the volume."""
     names = ("disc_L", "disc_perimeter", "disc_turning", "disc_force_x", "disc_x")

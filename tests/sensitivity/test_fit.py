@@ -36,7 +36,7 @@ def data_of(noise=0.0, **true):
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_parameters_are_found_again():
+def test_a_fit_recovers_the_parameters_of_its_data():
     data, seen = data_of(G_e=1.3, G_m=1.7), []
     simulation = creep()
     found = nv.fit(
@@ -50,7 +50,7 @@ def test_parameters_are_found_again():
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_noise_leaves_deviations(tmp_path):
+def test_a_fit_to_noisy_data_has_the_right_deviations(tmp_path):
     """The covariance is that of the linearised problem, whose derivatives are differences of whole runs."""
     noise, by = 2e-5, ["material.G_e", "creep.G_m"]
     found = nv.fit(creep(), data_of(noise, G_e=1.3, G_m=1.7), by=by, sigma=noise)
@@ -74,12 +74,12 @@ def test_noise_leaves_deviations(tmp_path):
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_bounds_are_kept_and_said():
+def test_a_fit_keeps_its_bounds_and_reports_active_ones():
     found = nv.fit(creep(), data_of(G_e=1.3), by=["material.G_e"], bounds={"material.G_e": (1.5, 3.0)})
     assert found["material.G_e"] == pytest.approx(1.5, rel=1e-4) and "AT ITS BOUND" in str(found)
 
 
-def test_what_data_do_not_determine_has_no_deviation():
+def test_a_parameter_without_effect_has_an_unbounded_deviation():
     """The bulk modulus has no effect in shear."""
     found = nv.fit(creep(), data_of(), by=["material.G_e", "material.K_e"], sigma=1e-5)
     assert np.isinf(found.deviations).all() or found.deviations[1] > 1e3 * found.deviations[0]
@@ -87,7 +87,7 @@ def test_what_data_do_not_determine_has_no_deviation():
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_a_file_has_units(tmp_path):
+def test_the_file_of_a_fit_has_units(tmp_path):
     path = tmp_path / "data.csv"
     rows = zip(TIMES * 1e3, data_of(G_e=1.3)[COLUMN] * 1e3, strict=True)
     lines = [f"time [ms],{COLUMN} [mm]", *(f"{float(t)!r},{float(d)!r}" for t, d in rows)]
@@ -138,7 +138,7 @@ def test_invalid_tables_of_data_are_refused(tmp_path, text, said):
         ({"data": {"time": [0.1, 0.2], "kinetic": ["a", 1]}}, "a sequence of numbers"),
     ],
 )
-def test_what_cannot_be_fitted_is_refused(options, said):
+def test_a_fit_of_unsuitable_parameters_is_refused(options, said):
     given = {"data": {"time": TIMES, COLUMN: TIMES}, "by": ["material.G_e"]} | options
     data = given.pop("data")
     with pytest.raises(nv.NgviscoError, match=said):

@@ -28,7 +28,7 @@ def recoiling(stiffness):
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_sides_that_change_in_time_make_no_error():
+def test_derivatives_are_exact_when_the_upstream_side_changes_between_steps():
     numbers = ["kinetic at 0.24", "stored at 0.24", "facet.velocity_1 at 0.24"]
     run = recoiling(5.0)
     gradient = nv.gradient(run, 0.24, of=numbers, by=["material.G_e"]).jacobian[:, 0]
@@ -55,7 +55,7 @@ def resting(push):
     return started(model, scheme="backward-euler", **given)
 
 
-def test_at_rest_a_gradient_is_between_the_derivatives_to_both_sides():
+def test_at_rest_a_gradient_lies_between_the_one_sided_derivatives():
     """Matter that crosses the face has the density of the upstream side, 1 or 2."""
     numbers, h = ["right at 0.04"], 1e-4
     gradient = nv.gradient(resting(0.0), 0.04, of=numbers, by=["loads.gravity.g.0"]).jacobian[0, 0]
@@ -77,7 +77,7 @@ def limited(stiffness, scheme="backward-euler", **options):
 
 
 @pytest.mark.parametrize("scheme", ["backward-euler", "midpoint"])
-def test_ends_that_the_limiter_has_changed_have_equal_tangents_and_adjoints(scheme):
+def test_tangents_and_adjoints_agree_for_steps_that_the_limiter_changed(scheme):
     """A wall's velocity acts on the end of a step also through the density that the limiter has changed."""
     walls, parameters = {"top": nv.PrescribedTangential((0.3, 0.0))}, ["walls.top.velocity.0", "material.G_e"]
     numbers = ["kinetic at 0.04", "momentum_1 at 0.04", "impulse_walls_1 at 0.04"]
@@ -91,7 +91,7 @@ def test_ends_that_the_limiter_has_changed_have_equal_tangents_and_adjoints(sche
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_the_limiter_is_frozen():
+def test_derivatives_keep_the_limiter_factors_fixed():
     numbers = ["kinetic at 0.06", "share at 0.06"]
     gradient = nv.gradient(limited(5.0), 0.06, of=numbers, by=["material.G_e"])
     h = 5e-4

@@ -105,7 +105,7 @@ def test_derivatives_are_limits_of_central_differences(scheme, solver):
     assert errors[0].max() > 20 * errors[1].max()
 
 
-def test_values_are_those_of_the_run():
+def test_values_equal_those_of_the_run():
     simulation = run()
     found = nv.gradient(simulation, UNTIL, of=of(), by=["creep.G_m"])
     ledger = simulation.ledger
@@ -162,7 +162,7 @@ def test_impulses_of_walls_have_adjoints(make, columns, options, least):
     assert (abs(adjoint - tangent) / sizes).max() < 1e-6
 
 
-def test_without_one_of_the_states_the_slope_of_a_distance_is_wrong(monkeypatch):
+def test_the_slope_of_a_distance_without_one_of_its_states_is_wrong(monkeypatch):
     """A negative control: only one of the states of B(a, b) changes."""
     numbers = of(("inertial", "bregman"))
     whole = DistanceSlopes.__call__
@@ -190,7 +190,7 @@ def test_columns_without_a_derivative_are_refused_with_the_reason(method, column
 
 
 @pytest.mark.parametrize("method", ["tangent", "adjoint"])
-def test_a_name_of_two_columns_is_refused(method):
+def test_a_name_that_two_columns_have_is_refused(method):
     """The table's column would stand silently for the ledger's."""
     simulation = run(observers=[nv.Integrals({"kinetic": "density"})])
     with pytest.raises(nv.ParameterError, match="the name of one column, but 2 columns have this name"):

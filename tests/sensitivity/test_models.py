@@ -75,7 +75,7 @@ def test_tangents_and_adjoints_are_limits_of_differences(make, name, value, opti
 
 
 @pytest.mark.parametrize("solver", ["coupled", by_ci("split")])
-def test_heat_by_the_scheme_has_derivatives_beside_much_heat(solver):
+def test_heat_by_the_scheme_has_derivatives_in_spite_of_rounding(solver):
     """The relative change of the power is 7e-5 of the expansion's. Rounding of 600 J of heat bounds the
     digits."""
     value, of = 1e-3, ["power_heat_numerical at 0.06", "power_heat_numerical until 0.06", "bregman at 0.06"]
@@ -116,7 +116,7 @@ def layered(stiffness, **options):
         by_ci(("disc_force_y", "disc_torque", "p.viscous_stress_11"), {"solver": "split"}),
     ],
 )
-def test_columns_that_read_the_start_of_a_step_have_its_slopes(columns, options):
+def test_columns_that_read_the_start_of_a_step_have_derivatives(columns, options):
     """The tangent, too, changes the start of each stage, by differences."""
     columns = ("dissipation_stokes_shear", *columns)
     of = [f"{column} {when}" for column in columns for when in ("at 0.06", "until 0.05")]
@@ -128,7 +128,7 @@ def test_columns_that_read_the_start_of_a_step_have_its_slopes(columns, options)
     assert np.allclose(adjoint, tangent, rtol=1e-6, atol=0)
 
 
-def test_integrals_of_stresses_follow_an_energy_without_an_expression():
+def test_integrals_of_stresses_have_derivatives_for_an_energy_without_an_expression():
     """Stress and pressure read a projection of the energy's values at points."""
     table = nv.Integrals({"pressed": "pressure*x", "square": "cauchy_stress_11**2"})
     of = ["pressed at 0.04", "square at 0.04"]
@@ -203,7 +203,7 @@ def test_sharp_interfaces_have_tangents(scheme):
     assert np.abs(found / ((ends[0] - ends[1]) / (2 * h)) - 1).max() < 1e-4
 
 
-def test_damage_is_refused():
+def test_derivatives_of_damage_are_refused():
     material = nv.Damaged(material=nv.LinearElastic(K_e=10, G_e=5), G_c=1.0, length=0.5)
     with pytest.raises(nv.ParameterError, match="growth of damage has no derivative"):
         run = started(nv.Model(material=material, viscosity=VISCOSITY))

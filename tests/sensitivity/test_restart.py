@@ -55,7 +55,7 @@ class StopsAt:
         by_ci("adjoint", "sdirk2"),
     ],
 )
-def test_an_interrupted_gradient_goes_on_as_if_it_had_not_been(tmp_path, method, scheme):
+def test_a_resumed_gradient_equals_the_uninterrupted_one(tmp_path, method, scheme):
     """The gradient is stopped in the run, then in the derivatives, and is complete after two more calls."""
     whole = found(run(scheme=scheme), None, method)
     stopped, second = run(scheme=scheme), run(scheme=scheme)
@@ -99,7 +99,7 @@ def test_a_stop_within_a_step_leaves_the_step_before_it(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("place", ["restart", None])
-def test_a_stop_before_the_first_step_is_kept(tmp_path, monkeypatch, place):
+def test_a_gradient_stopped_before_its_first_step_is_kept(tmp_path, monkeypatch, place):
     """The request comes while the derivatives are prepared, and the run does not begin."""
     simulation, prepare = run(), gradients.Neighbours
 
@@ -127,7 +127,7 @@ def test_a_stop_is_honoured_between_two_stages_of_an_adjoint(tmp_path, monkeypat
     assert stages == [2]  # the last stage, with which a step's adjoint begins
 
 
-def test_a_stop_without_a_folder_gives_no_truncated_gradient():
+def test_a_gradient_stopped_without_a_folder_raises_an_error():
     stopped = run()
     stopped.observers.append(StopsAt(2))
     with pytest.raises(nv.StopRequested, match=r"stopped, as requested$"):
@@ -161,7 +161,7 @@ def test_the_folder_of_another_run_is_refused(folder, change, said):
         found(run(**change), folder)
 
 
-def test_functions_are_told_apart_by_their_values():
+def test_a_folder_identifies_functions_by_their_values():
     """The text of an expression has six digits, and that of an NGSolve parameter no value."""
     sampler, (p, q) = run().sampler, (Parameter(3.0), Parameter(4.0))
     for one, other in ((CF(1.0), CF(1.0000001)), (p * x, q * x), (sin(nv.time) * x, sin(1.1 * nv.time) * x)):

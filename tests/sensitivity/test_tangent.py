@@ -24,13 +24,13 @@ FORCE = {"push": "bottom.force_2 at 0.06"}
         by_ci("midpoint", "initial.density"),
     ],
 )
-def test_a_tangent_is_what_central_differences_tend_to(scheme, name):
+def test_central_differences_converge_to_the_tangent(scheme, name):
     found = nv.gradient(run(scheme=scheme), UNTIL, of=OF | FORCE, by=[name]).jacobian[:, 0]
     errors = [abs(differences(name, h, OF | FORCE, scheme=scheme) / found - 1).max() for h in (1e-3, 1e-4)]
     assert errors[1] < 1e-6 and errors[1] < 0.02 * errors[0] + 2e-7
 
 
-def test_values_are_those_of_the_run():
+def test_values_equal_those_of_the_run():
     simulation = run()
     found = nv.gradient(simulation, UNTIL, of=OF | FORCE, by=["creep.G_m"])
     table = dict(zip(found.of, found.values, strict=True))
@@ -46,7 +46,7 @@ def test_values_are_those_of_the_run():
     assert table["push"] == pytest.approx(forces.column("bottom.force_2")[-1], rel=1e-9)
 
 
-def test_the_run_is_that_without_derivatives():
+def test_a_gradient_does_not_change_its_run():
     """A gradient changes nothing in the simulation."""
     alone, observed = run(), run()
     alone.run(UNTIL)
@@ -57,7 +57,7 @@ def test_the_run_is_that_without_derivatives():
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_differences_of_second_order_are_nearly_as_good():
+def test_differences_of_second_order_agree_with_those_of_fourth_order():
     fine, coarse = (nv.gradient(run(), UNTIL, of=OF, by=["creep.G_m"], order=order) for order in (4, 2))
     assert 0 < abs(coarse.jacobian / fine.jacobian - 1).max() < 1e-7
     with pytest.raises(nv.ParameterError, match="4 or 2"):
@@ -66,7 +66,7 @@ def test_differences_of_second_order_are_nearly_as_good():
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_without_the_change_of_the_old_state_a_tangent_is_wrong(monkeypatch):
+def test_a_tangent_without_the_old_state_is_wrong(monkeypatch):
     """A negative control: the tangent ignores the state from which a step starts."""
     found = nv.gradient(run(), UNTIL, of=["stored at 0.06"], by=["creep.G_m"]).jacobian
     monkeypatch.setattr(Neighbours, "moved", lambda self, state, along: [state for _ in self.steps])
@@ -89,7 +89,7 @@ def test_walls_that_move_have_derivatives():
     assert abs(difference / found - 1).max() < 1e-5
 
 
-def test_parameters_have_paths():
+def test_parameters_are_named_by_their_paths():
     simulation = run()
     for name, value in AT.items():
         assert Named.of(name, simulation).value == value
@@ -112,7 +112,7 @@ def test_parameters_have_paths():
         (["kinetic at 0.06"], ["creep.nu"], "a value at a distance of at least 0.0002 from the ends"),
     ],
 )
-def test_what_has_no_derivative_is_refused(of, by, said):
+def test_derivatives_that_do_not_exist_are_refused(of, by, said):
     with pytest.raises(nv.NgviscoError, match=said):
         nv.gradient(run(), UNTIL, of=of, by=by)
 

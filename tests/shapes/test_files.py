@@ -39,7 +39,7 @@ def binary_stl(triangles):
 
 @pytest.mark.parametrize("write", [ascii_stl, binary_stl])
 @pytest.mark.parametrize("inward", [False, True])
-def test_closed_surface_holds_its_volume(tmp_path, write, inward):
+def test_a_closed_surface_contains_its_volume(tmp_path, write, inward):
     path = tmp_path / "cube.stl"
     path.write_bytes(write(cube()[:, ::-1] if inward else cube()))
     mesh = box((1, 1, 1), maxh=0.4)
@@ -82,7 +82,7 @@ def test_volume_of_a_surface_is_met_on_cells_as_large_as_itself(tmp_path, part, 
     assert found == pytest.approx(enclosed(placed), rel=0.012)
 
 
-def test_surface_cut_by_a_shape_has_the_rest_of_its_volume(tmp_path):
+def test_a_surface_cut_by_a_shape_has_the_remaining_volume(tmp_path):
     """The levels of both are lengths, in domains of any size, so that the cut is at the right place."""
     for size in (1e-3, 1.0, 1e3):
         path = tmp_path / "cube.stl"
@@ -92,7 +92,7 @@ def test_surface_cut_by_a_shape_has_the_rest_of_its_volume(tmp_path):
         assert volumes(mesh, [half])[0] == pytest.approx(0.6 * 0.43 * 0.6 * size**3, rel=0.01)
 
 
-def test_parts_that_overlap_hold_the_volume_once(tmp_path):
+def test_overlapping_parts_count_their_volume_once(tmp_path):
     """A level that sums two shells would move the surface outwards."""
     mesh, path = box((1, 1, 1), maxh=0.5), tmp_path / "two.stl"
     path.write_bytes(binary_stl(np.concatenate([cube(0.2, 0.7), cube(0.3, 0.8)])))
@@ -101,7 +101,7 @@ def test_parts_that_overlap_hold_the_volume_once(tmp_path):
 
 
 @pytest.mark.parametrize("turned", [(), (0,), (1, 2), (0, 1, 2)])
-def test_parts_are_solid_and_shells_in_them_holes_in_whatever_sense_each_part_is_written(tmp_path, turned):
+def test_shells_inside_a_part_are_holes_for_any_orientation_of_the_triangles(tmp_path, turned):
     """The parts are a small cube and a larger one with a cavity, whose shell is turned together with the
     cube around it."""
     parts = [cube(0.0, 0.2), cube(0.3, 0.9), cube(0.5, 0.7)[:, ::-1]]
@@ -195,7 +195,7 @@ def test_transparent_pixels_count_as_white(tmp_path):
     assert volumes(box((1, 1), maxh=0.3), [Image(path, (0, 0), (1, 1))])[0] == pytest.approx(0.5, abs=0.01)
 
 
-def test_picture_that_is_none_is_refused(tmp_path, monkeypatch):
+def test_a_file_that_is_no_picture_is_refused(tmp_path, monkeypatch):
     broken = tmp_path / "broken.png"
     broken.write_bytes(b"no picture")
     good = picture(tmp_path / "good.png", np.zeros((4, 4, 3)))
@@ -214,7 +214,7 @@ def test_picture_that_is_none_is_refused(tmp_path, monkeypatch):
         Image(good, (0, 0), (1, 1))
 
 
-def test_subdomain_is_its_cells_and_nothing_else():
+def test_a_subdomain_consists_of_its_own_cells():
     outer, inner = Rectangle(1, 1).Face(), Circle((0.6, 0.5), 0.2).Face()
     inner.faces.name, inner.edges.name = "disc", "interface"
     outer = outer - inner

@@ -25,7 +25,7 @@ def test_volume_of_a_plane_cut_is_exact(order):
 
 
 @pytest.mark.parametrize(("dim", "maxh", "bound"), [(2, 0.1, 1e-4), (3, 0.3, 2e-2)])
-def test_volume_of_a_ball_is_met_and_improves_with_the_mesh(dim, maxh, bound):
+def test_the_volume_of_a_ball_converges_with_the_mesh(dim, maxh, bound):
     ball, exact = Ball((0.6, 0.5, 0.5)[:dim], 0.3), pi * 0.09 if dim == 2 else 4 / 3 * pi * 0.027
     errors = [abs(volumes(box((1,) * dim, maxh=h), [ball])[0] / exact - 1) for h in (2 * maxh, maxh)]
     assert errors[1] < bound
@@ -60,7 +60,7 @@ def test_shapes_are_united_cut_and_complemented():
         assert volumes(mesh, [shape])[0] == pytest.approx(exact, abs=1e-5)
 
 
-def test_functions_are_shapes_where_they_are_positive_or_one():
+def test_a_function_is_a_shape_where_it_is_positive():
     mesh = box((1, 1), maxh=0.2)
     smooth = volumes(mesh, [Where(0.09 - (x - 0.5) ** 2 - (y - 0.5) ** 2)])[0]
     jumping = volumes(mesh, [Where(IfPos(0.09 - (x - 0.5) ** 2 - (y - 0.5) ** 2, 1, 0))])[0]

@@ -76,7 +76,7 @@ def bodies():
 
 
 @pytest.mark.parametrize("slow", [None, nv.Creep(G_m=1.0, law="conformation"), "bodies"])
-def test_creep_is_differentiated_by_its_stress_as_by_all_components(slow):
+def test_derivatives_of_creep_by_its_stress_equal_those_by_all_components(slow):
     """The rate of the law "conformation" reads zeta, not the stress; that of a body reads the amounts too."""
     material = network()
     if isinstance(slow, nv.Creep):

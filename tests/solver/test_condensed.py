@@ -40,14 +40,14 @@ def test_an_overflow_is_answered_by_a_larger_heap(sizes, count):
     assert sizes == list(HEAP_SIZES[:count])
 
 
-def test_what_the_largest_heap_does_not_hold_is_a_failed_step(sizes):
+def test_a_step_that_overflows_the_largest_heap_fails(sizes):
     form = Form(*["Local Heap overflow"] * 3)
     with pytest.raises(StepError, match="Local Heap overflow"):
         jacobian(form).factorise(None)
     assert sizes == list(HEAP_SIZES)
 
 
-def test_a_matrix_that_is_singular_by_the_units_is_reported_with_the_remedy():
+def test_a_matrix_that_is_singular_because_of_units_is_reported_with_the_remedy():
     """In SI units a slab in a weak medium, with 1e11 Pa and steps of 1 kyr, has such matrices; in km and kyr
     it has none."""
     form = Form("CalcLU: matrix singularin AssembleLinearization\n")

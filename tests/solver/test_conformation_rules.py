@@ -101,7 +101,7 @@ def test_steady_shear_is_that_of_the_literature(name):
     assert np.allclose(found, expected, rtol=1e-5, atol=1e-6), (found, expected)
 
 
-def test_what_is_no_rule_of_a_conformation_tensor_is_refused():
+def test_a_rule_that_does_not_fit_a_conformation_tensor_is_refused():
     neo = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
     for name in OF_CONFORMATION:
         with pytest.raises(nv.ParameterError, match="since NeoHookean has none; OldroydB and FENEP have one"):

@@ -246,14 +246,14 @@ def test_rows_of_the_density_and_on_facets_act_in_both_solvers(term):
 
 
 @pytest.mark.filterwarnings("ignore::ngvisco.run.signs.DissipationWarning")  # healing gives energy
-def test_the_tangent_has_what_a_term_makes_of_the_fields():
+def test_the_tangent_contains_a_term_s_effect_on_the_fields():
     split, _ = solved(Healing(2e3), maxh=0.25)
     assert split.column("newton_iterations").max() <= 12
     assert split.column("dissipation_healing").max() > 1e-3
 
 
 @pytest.mark.parametrize("scheme", ["backward-euler", by_ci("sdirk2")])
-def test_whatever_a_term_asks_for_it_acts_in_both_solvers(scheme):
+def test_a_term_may_read_any_state_in_both_solvers(scheme):
     terms = FormOnly(), OldViscosity(), Impulse(), RowsOfBoth(), GrowthInTime()
     for ledger in solved(*terms, scheme=scheme):
         for name in ("form_only", "old_viscosity", "rows_of_both"):
@@ -262,7 +262,7 @@ def test_whatever_a_term_asks_for_it_acts_in_both_solvers(scheme):
             assert np.abs(ledger.column(name)).max() > 1e-6
 
 
-def test_terms_are_told_apart_by_what_they_are_not_by_equality():
+def test_terms_with_arrays_are_compared_by_identity():
     solved(ByArray(np.array([1.0, 0.1])), ByArray(np.array([1.0, 0.2])))
 
 
@@ -362,13 +362,13 @@ class HeavierDrag(Drag):
     ],
     ids=lambda value: type(value).__name__,
 )
-def test_a_term_that_is_not_as_it_declares_is_refused_by_its_name(term, reason):
+def test_a_term_that_contradicts_its_declaration_is_refused_by_name(term, reason):
     with pytest.raises(ParameterError, match=reason):
         simulation([term], solver="split")
     assert type(simulation([term], maxh=0.15).solver.newton).__name__ == "Newton"
 
 
-def test_another_equation_has_no_kernel_of_the_class_that_it_derives_from():
+def test_a_subclass_with_another_equation_does_not_inherit_the_kernel():
     class Twice(Conjugates):
         def cells(self, u, w):
             return [2.0 * part for part in super().cells(u, w)]
@@ -401,7 +401,7 @@ def with_bent(**of_variable):
     )
 
 
-def test_a_rate_that_is_not_linear_in_the_variables_is_the_coupled_solver_s():
+def test_only_the_coupled_solver_takes_a_rate_not_linear_in_the_variables():
     """The split solver, which tabulates rates, refuses this rate by the variable's name, and does not
     linearise it."""
     with pytest.raises(

@@ -54,7 +54,7 @@ def test_swelling_is_the_same_by_both_solvers_where_matter_crosses_a_wall(top):
 
 
 @pytest.mark.parametrize("solver", ["split", "coupled"])
-def test_what_comes_through_walls_is_what_there_is_more(solver):
+def test_the_amount_grows_by_the_exchange_through_walls(solver):
     through = {"left": nv.WallExchange(flux=0.1), "right": nv.WallExchange(potential=0.6, coefficient=2.0)}
     ledger = run_of(solver, 0.6, through=through).run(until=0.15)
     came = 0.05 * (ledger.column("exchange_c_left") + ledger.column("exchange_c_right"))[1:]
@@ -62,7 +62,7 @@ def test_what_comes_through_walls_is_what_there_is_more(solver):
     assert np.allclose(np.diff(ledger.column("amount_c")), came, rtol=1e-12)
 
 
-def test_the_potential_is_a_line_between_a_flux_and_a_reservoir():
+def test_the_steady_potential_is_linear_between_a_flux_and_a_reservoir():
     """In the steady state mu = p + q/h at the reservoir's wall, with the slope -q/M."""
     flux, potential, coefficient = 0.02, 0.6, 2.0
     through = {
@@ -123,7 +123,7 @@ def test_a_wall_that_exchanges_nothing_is_refused():
         nv.WallExchange(potential=1.0)
 
 
-def test_the_start_of_a_solute_beside_a_distortion_is_no_contradiction(recwarn):
+def test_start_values_of_a_solute_do_not_contradict_the_distortion(recwarn):
     def energy(F, J, c):
         return square(F) + 5 * (J - 1 - c) * (J - 1 - c) + c * c
 

@@ -92,7 +92,7 @@ def derivative(split, at, dv, rows):
     return (values[0] - values[1]) / (2 * STEP)
 
 
-def test_the_operator_has_inertia_convection_and_viscosity(run):
+def test_the_flow_operator_has_inertia_convection_and_viscosity(run):
     v = linear(run, lambda x, y: (1 + 2 * y - x, x + 0.5 * y))
     split, at, operator = prepared(run, v)
     operator.from_fields[:] = 0.0  # the response of the fields is left out here
@@ -146,7 +146,7 @@ def test_the_resolvent_by_its_series_is_the_inverse(run, strain, monkeypatch):
 
 
 @pytest.mark.parametrize("run", [None, "bodies"], indirect=True)
-def test_the_force_is_the_rows_derivative_by_fields_that_are_continuous(run, monkeypatch):
+def test_the_force_s_derivative_by_continuous_fields_is_exact(run, monkeypatch):
     """A uniform state has a linear change, so that no facet contributes; phi'' is by differences.
 
     Weight, inertia, convection and the balance of momentum change with the density of bodies; increments
@@ -179,7 +179,7 @@ def test_the_force_is_the_rows_derivative_by_fields_that_are_continuous(run, mon
 
 
 @pytest.mark.parametrize("run", ["bodies", "cubic"], indirect=True)
-def test_the_fields_rows_change_with_the_velocity_also_where_fields_jump(run):
+def test_the_field_equations_derivative_by_the_velocity_is_exact_also_at_jumps(run):
     """Flows into a cell carry jumps of z; the fluxes of densities have the same derivative by v."""
     v, rng = linear(run, lambda x, y: (0.3 + 2 * y - x, 0.1 + x + 0.5 * y)), np.random.default_rng(6)
     split, at, operator = prepared(run, v + 0.05 * rng.standard_normal(v.shape), 0.02)
@@ -192,7 +192,7 @@ def test_the_fields_rows_change_with_the_velocity_also_where_fields_jump(run):
 
 
 @pytest.mark.parametrize("run", ["heat"], indirect=True)
-def test_conduction_is_the_rows_derivative_at_a_uniform_temperature(run):
+def test_the_derivative_of_conduction_is_exact_at_a_uniform_temperature(run):
     """Heat is conducted between cells by the lifting of the gradient and by the penalty."""
     split, at, _ = prepared(run, np.zeros_like(linear(run, lambda x, y: (x, y))))
     z, entropy = split.unknowns.slices["z"], split.preconditioner.sweep.exchange.rows[0]

@@ -68,7 +68,7 @@ def implicit_steps(rate, lengths, by_B):
 
 @pytest.mark.parametrize("solver", ["split", "coupled"])
 @pytest.mark.parametrize(("nu", "bodies"), [(0.0, False), (0.1, False), (0.0, True)])
-def test_a_rule_of_one_s_own_gives_what_it_says(nu, bodies, solver):
+def test_a_user_s_flow_rule_follows_its_differential_equation(nu, bodies, solver):
     """At a point a step of the rule is that of an ordinary differential equation."""
     run = stretched(Cubic(A=0.02, nu=nu), solver, bodies)
     ledger = run.run(0.04)

@@ -69,7 +69,7 @@ def test_the_yield_stress_grows_by_the_law_and_its_work_is_stored(name, solver):
         assert "plastic_strain" not in run.fields
 
 
-def test_heat_is_what_is_not_stored():
+def test_plastic_work_that_is_not_stored_becomes_heat():
     material = nv.Thermal(material=MATERIALS["B"], c=1.0, theta_R=300.0, expansion=1e-3)
     run = sheared(nv.Perzyna(sigma_Y=0.5, G_m=0.5, H=20.0), material, "coupled")
     ledger = run.run(0.04)

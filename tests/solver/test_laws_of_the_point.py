@@ -87,7 +87,7 @@ def simulation(solver, k=2, maxh=0.5, **laws):
         ),
     ],
 )
-def test_both_solvers_have_the_point_s_moduli(name, k):
+def test_both_solvers_use_the_moduli_at_each_point(name, k):
     runs = by_both_solvers(lambda solver: simulation(solver, k, **LAWS[name]), 0.02)
     uniform = simulation("coupled", k, **UNIFORM[name])
     uniform.run(0.02)
@@ -96,5 +96,5 @@ def test_both_solvers_have_the_point_s_moduli(name, k):
 
 
 @pytest.mark.parametrize("name", LAWS)
-def test_the_derivative_follows_the_moduli(name):
+def test_the_derivative_contains_the_moduli_at_each_point(name):
     assert_is_the_derivative(simulation("split", **LAWS[name]))

@@ -56,7 +56,7 @@ def spread(state: GridFunction, value: float) -> float:
 
 
 @pytest.mark.parametrize("start", [1.5, 3.0, 10.0, 100.0, -40.0])
-def test_damping_converges_from_far_away(start: float) -> None:
+def test_damped_newton_converges_from_far_away(start: float) -> None:
     """Undamped Newton steps for atan diverge beyond |u - 1| = 1.39; steps that overshoot are halved."""
     solver, state = newton(start, arc)
     history = solved(solver).history
@@ -64,7 +64,7 @@ def test_damping_converges_from_far_away(start: float) -> None:
     assert (min(line.damping for line in history) < 1) == (abs(start - 1) > 1.4)
 
 
-def test_factorisation_is_kept_while_it_contracts() -> None:
+def test_a_factorisation_is_kept_while_newton_contracts() -> None:
     solver, _ = newton(1.2, arc)
     history = solved(solver).history
     assert [line.fresh_jacobian for line in history].count(True) <= 2 < len(history)
@@ -73,7 +73,7 @@ def test_factorisation_is_kept_while_it_contracts() -> None:
     assert solved(solver).history[0].fresh_jacobian is True
 
 
-def test_tolerance_is_met_in_the_stated_norm() -> None:
+def test_newton_meets_its_tolerance_in_the_stated_norm() -> None:
     for tolerance in (1e-4, 1e-10):
         solver, state = newton(1.3, arc, tolerance=tolerance)
         history = solved(solver).history
@@ -92,7 +92,7 @@ def test_tolerance_is_met_in_the_stated_norm() -> None:
     ],
     ids=["singular", "no root", "root at infinity", "NaN"],
 )
-def test_failure_is_a_solution_with_history_and_reason(equation, start: float, reason: str, capfd) -> None:
+def test_a_failed_newton_returns_its_history_and_reason(equation, start: float, reason: str, capfd) -> None:
     solver, _ = newton(start, equation, diffusion=0.0, max_iterations=25)
     solution = solve(solver)
     lines = solution.history
@@ -103,7 +103,7 @@ def test_failure_is_a_solution_with_history_and_reason(equation, start: float, r
     capfd.readouterr()  # UMFPACK announces a singular matrix on its own
 
 
-def test_too_many_iterations_says_so() -> None:
+def test_too_many_iterations_are_reported() -> None:
     solver, _ = newton(1.9, arc, max_iterations=2)
     solution = solve(solver)
     assert solution.status is Status.TOO_MANY_ITERATIONS
@@ -112,7 +112,7 @@ def test_too_many_iterations_says_so() -> None:
 
 
 @pytest.mark.parametrize(("least", "status"), [(1e-3, Status.CONVERGED), (0.9, Status.STALLED)])
-def test_min_damping_is_the_least_step_that_is_tried(least: float, status: Status) -> None:
+def test_min_damping_is_the_smallest_step_tried(least: float, status: Status) -> None:
     """From 10 the first increment for atan overshoots until it is divided by eight; with 0.9 the iteration
     ends at a half."""
     solution = solve(newton(10.0, arc, min_damping=least)[0])
@@ -132,7 +132,7 @@ def cancelling(size: float):
 ROUNDED = {"tolerance": 1e-12, "equation": cancelling(1.5e4)}
 
 
-def test_rounding_of_parts_that_cancel_ends_the_iteration() -> None:
+def test_rounding_of_cancelling_parts_ends_the_iteration() -> None:
     solver, state = newton(1.3, **ROUNDED)
     history = solved(solver).history
     assert 10e-12 < history[-1].increment * history[-1].contraction <= 100e-12
@@ -144,7 +144,7 @@ def test_rounding_of_more_than_a_hundred_tolerances_is_a_failure() -> None:
     assert solve(solver).status is Status.ROUNDING
 
 
-def test_jump_of_the_equation_is_not_taken_for_rounding() -> None:
+def test_a_jump_of_the_equation_is_not_taken_for_rounding() -> None:
     """u - 1 + s sign(u - 1) has no root: increments stall at s, and are the same from a perturbed state."""
     s = 2e-11
     solver, _ = newton(1.3, lambda u: u - 1 + IfPos(u - 1, s, -s), tolerance=1e-12)

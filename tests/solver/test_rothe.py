@@ -55,7 +55,7 @@ def test_failed_step_restores_the_state_bitwise() -> None:
     assert all(line.increment > 0 for line in lines)
 
 
-def test_change_of_the_step_length_assembles_anew() -> None:
+def test_a_change_of_the_step_length_assembles_the_matrix_anew() -> None:
     run = simulation()
     run.advance()
     assert run.solver.newton.is_factorised
@@ -105,7 +105,7 @@ class Increments:
         self.resets += 1
 
 
-def test_a_plateau_below_the_tolerance_is_rounding():
+def test_increments_that_stall_below_the_tolerance_count_as_converged():
     tolerance = NewtonOptions().tolerance
     found = Increments(lambda n: max(10.0 ** (-3 * n - 1), 0.5 * tolerance))
     assert iterate(found, Posed(), []) is Status.CONVERGED
@@ -120,7 +120,7 @@ def test_slow_convergence_is_not_taken_for_rounding():
 
 
 @pytest.mark.parametrize("contraction", [0.1, 0.3, 0.45])
-def test_an_iteration_ends_where_the_later_increments_are_within_the_margin(contraction):
+def test_an_iteration_ends_if_the_expected_increments_are_within_the_margin(contraction):
     split, history = Increments(lambda number: 1e-9 * contraction**number), []
     assert iterate(split, Posed(), history) is Status.CONVERGED
     tolerance, margin = split.options.tolerance, split.options.split.margin
@@ -131,14 +131,14 @@ def test_an_iteration_ends_where_the_later_increments_are_within_the_margin(cont
     assert before > tolerance or before * share > margin * tolerance
 
 
-def test_a_first_increment_tells_no_contraction():
+def test_a_single_increment_gives_no_estimate_of_contraction():
     split, history = Increments(lambda number: 0.5e-10 if number == 0 else 1e-12), []
     assert iterate(split, Posed(), history) is Status.CONVERGED
     assert len(history) == 2
 
 
 @pytest.mark.parametrize("lost", [np.inf, np.nan, 50.0])
-def test_an_iterate_too_far_is_given_up_for_one_nearer_to_the_best(lost):
+def test_a_diverging_increment_is_halved_from_the_best_iterate(lost):
     """The second increment leads away: half of it is taken, and has its own tangent."""
     sizes = (0.6, 0.3, lost, 0.1, 1e-3, 1e-6, 1e-12, 1e-14)
     split = Increments(lambda n: sizes[n])
@@ -146,7 +146,7 @@ def test_an_iterate_too_far_is_given_up_for_one_nearer_to_the_best(lost):
     assert split.at[:4] == [0.0, -1.0, -3.0, -2.0] and split.resets == 1
 
 
-def test_what_no_part_of_an_increment_mends_has_failed():
+def test_a_step_fails_if_no_part_of_an_increment_converges():
     split, history = Increments(lambda n: 0.5 if n == 0 else np.inf), []
     assert iterate(split, Posed(), history) is Status.STALLED
     assert len(history) == 2 + split.options.split.halvings
@@ -154,7 +154,7 @@ def test_what_no_part_of_an_increment_mends_has_failed():
 
 
 @pytest.mark.parametrize(("smallest", "gives_up"), [(0.02, False), (1e-5, True)])
-def test_increments_may_grow_far_from_the_solution(smallest, gives_up):
+def test_large_increments_may_grow_for_a_while(smallest, gives_up):
     """Far from the solution increments may grow threefold, and near it by a hundredth at most."""
     grown = 3 * smallest if not gives_up else 0.05
     sizes = (0.3, smallest, grown, 1e-3, 1e-6, 1e-12, 1e-14, 1e-15)
@@ -163,7 +163,7 @@ def test_increments_may_grow_far_from_the_solution(smallest, gives_up):
     assert split.resets == gives_up
 
 
-def test_a_nearly_incompressible_body_takes_a_step_of_many_passages_of_a_wave_at_once():
+def test_a_nearly_incompressible_body_takes_a_step_of_many_wave_passages():
     """The rounding of the energy on cells' sides had been a force without resistance, and the step was
     divided."""
     eddy = (1 + 0.5 * sin(2 * pi * x) * cos(2 * pi * y), 0.5 - 0.5 * cos(2 * pi * x) * sin(2 * pi * y))

@@ -149,7 +149,7 @@ def test_auto_chooses_by_dimension_and_size():
     assert isinstance(large.solver.newton, Split)
 
 
-def test_quadrilaterals_are_for_the_coupled_solver():
+def test_quadrilaterals_need_the_coupled_solver():
     mesh = MakeStructured2DMesh(quads=True, nx=2, ny=2)
     assert not isinstance(simulation(mesh=mesh, solver="auto").solver.newton, Split)
     with pytest.raises(nv.ParameterError, match="triangles or tetrahedra"):
@@ -178,7 +178,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("reason", REFUSED)
-def test_sources_of_unknowns_and_of_derived_rows_are_for_the_coupled_solver(reason):
+def test_sources_in_the_rows_of_derived_unknowns_need_the_coupled_solver(reason):
     source = Source(REFUSED[reason])
     with pytest.raises(nv.ParameterError, match=reason):
         simulation(sources=source)
@@ -186,7 +186,7 @@ def test_sources_of_unknowns_and_of_derived_rows_are_for_the_coupled_solver(reas
 
 
 @pytest.mark.parametrize("k", [2, by_ci(3)])
-def test_two_levels_lead_to_the_same_solution(k):
+def test_two_levels_give_the_same_solution(k):
     order = nv.Discretisation(k=k)
     direct = simulation(discretisation=order)
     two_level = simulation(discretisation=order, newton=TWO_LEVELS)
@@ -196,7 +196,7 @@ def test_two_levels_lead_to_the_same_solution(k):
     assert np.linalg.norm(state(two_level) - state(direct)) <= 1e-9 * np.linalg.norm(state(direct))
 
 
-def test_an_increment_is_solved_no_more_exactly_than_the_end_of_the_iteration_needs(monkeypatch):
+def test_increments_are_solved_only_as_exactly_as_the_iteration_needs(monkeypatch):
     """The last increments take fewer directions. The number of iterations stays, and the solution is as exact
     as required."""
     loosest, runs = split_solver._LOOSEST, []
@@ -230,7 +230,7 @@ def systems(run):
     return used
 
 
-def test_where_two_levels_do_not_solve_the_flow_the_tangent_is_factorised_as_a_whole():
+def test_the_whole_tangent_is_factorised_if_two_levels_fail():
     """The tangent is factorised for the rest of the step, if it has few enough unknowns; the next step
     begins with two levels."""
     few = SplitOptions(direct_up_to=(0, 0), flow_iterations=3)
@@ -291,7 +291,7 @@ def test_two_levels_take_as_many_iterations_on_finer_meshes():
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_walls_stresses_beside_two_levels_take_few_more_iterations():
+def test_wall_stresses_add_few_iterations_to_two_levels():
     """If the coarse problem lacks the walls' velocities, steps take twice as many iterations."""
 
     def iterations(newton):
@@ -326,7 +326,7 @@ def test_sweeps_follow_the_courant_number_and_no_step_is_retried():
 
 
 @pytest.mark.parametrize("speed", [1e20, 1e40])
-def test_a_diverging_iterate_is_a_status_and_no_warning(speed):
+def test_a_diverging_iterate_gives_a_status_and_no_warning(speed):
     run = simulation()
     guess = run.rothe_step.state_old.vec.CreateVector()
     guess.data = run.rothe_step.state_old.vec

@@ -36,7 +36,7 @@ def start(place, solver):
 @pytest.mark.parametrize("place", [0.5, 1.0], ids=["between cells", "on a wall"])
 # near the domain's edge projected conjugates are far from those of the traces
 @pytest.mark.filterwarnings("ignore::ngvisco.run.signs.DissipationWarning")
-def test_a_step_is_solved_whose_facets_have_a_trace_without_an_energy(place, solver):
+def test_a_step_with_traces_outside_the_energy_s_domain_is_solved(place, solver):
     run, *_ = start(place, solver)
     row = run.advance()
     assert row["rejections"] == 0 and abs(row["closure_relative"]) < 1e-10
@@ -46,7 +46,7 @@ def test_a_step_is_solved_whose_facets_have_a_trace_without_an_energy(place, sol
 
 
 @pytest.mark.parametrize("solver", ["coupled", "split"])
-def test_a_facet_that_an_iterate_had_without_an_energy_stays_so_in_the_step(solver):
+def test_a_facet_without_an_energy_keeps_this_state_within_the_step(solver):
     """Otherwise the force of a facet at the edge of the energy's domain would alternate between iterates."""
     run, B_33, at_rest = start(0.5, solver)
     step, newton = run.ledger.step, run.solver.newton

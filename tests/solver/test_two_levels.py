@@ -20,7 +20,7 @@ from ngvisco.solver.options import SplitOptions
 
 
 @pytest.mark.parametrize("size", [MANY // 2, 5 * MANY])
-def test_one_cell_s_eigenvalue_is_found_among_many(size):
+def test_the_largest_eigenvalue_of_a_single_cell_is_found(size):
     """The power method from a random vector would return the eigenvalue of all other cells, 2."""
     rng = np.random.default_rng(2)
     scale = np.exp(rng.standard_normal(size))
@@ -37,7 +37,7 @@ def test_one_cell_s_eigenvalue_is_found_among_many(size):
     assert largest_eigenvalue(with_zeros) == pytest.approx(exact, rel=0.03)
 
 
-def test_sweeps_leave_what_a_polynomial_of_chebyshev_leaves():
+def test_smoothing_sweeps_reduce_errors_by_the_chebyshev_polynomial():
     """The smoother leaves at most 1/T_3(9/7) of errors with eigenvalues of D^{-1} A in [largest/8, largest],
     and of one error exactly this part."""
     size = MANY // 2
@@ -86,7 +86,7 @@ def test_vertices_and_edges_are_solved_together():
 @pytest.mark.parametrize(("shift", "sizes"), [(1e-2, [4]), (1e-7, [4, 8])], ids=["single", "double"])
 @pytest.mark.parametrize("unit", [1e-50, 1.0, 1e50])
 @pytest.mark.parametrize("largest", [0, 100], ids=["sparse", "band"])
-def test_factors_of_a_preconditioner_are_in_single_precision_where_that_does(
+def test_a_preconditioner_has_single_precision_factors_if_they_suffice(
     shift, sizes, unit, largest, monkeypatch
 ):
     """Units may exceed single precision; next to a singular matrix factors are in double precision."""
@@ -152,7 +152,7 @@ def test_multigrid_without_petsc_is_refused_by_name(monkeypatch):
         ),
     ],
 )
-def test_multigrid_without_effect_is_warned_of(monkeypatch, domain, solver, reason):
+def test_a_multigrid_option_without_effect_is_warned_of(monkeypatch, domain, solver, reason):
     monkeypatch.setattr(options, "obstacle", lambda method: None)  # the test also runs without PETSc
     limit = 0 if "walls" in reason else 10_000
     newton = nv.NewtonOptions(coarse="gamg", split=SplitOptions(direct_up_to=(limit, limit)))

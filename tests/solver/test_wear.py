@@ -24,24 +24,24 @@ def renewals(directions, new):
     return found
 
 
-def test_a_new_tangent_that_spares_no_direction_is_not_formed():
+def test_a_tangent_is_not_renewed_if_this_saves_no_directions():
     """The counts of directions are from a step on 50,552 tetrahedra, in which six new tangents saved no
     direction."""
     directions = [21, 24, 23, 23, 24, 14, 14]
     assert renewals(directions, directions) == []
 
 
-def test_an_easy_first_increment_makes_one_renewal_in_vain():
+def test_an_easy_first_increment_causes_at_most_one_useless_renewal():
     directions = [8, *10 * [24]]
     assert len(renewals(directions, directions)) == 1
 
 
-def test_directions_grow_until_they_are_worth_a_renewal():
+def test_a_tangent_is_renewed_when_its_extra_directions_cost_as_much():
     assert renewals(10 * [20], 10 * [10]) == [4, 9]
     assert renewals(10 * [13], 10 * [10]) == []
 
 
-def test_at_most_twice_the_least_cost():
+def test_renewals_cost_at_most_twice_the_least_cost():
     """With an old tangent each increment takes one direction more than the increment before."""
     increments = 200
     wear, age, directions, count = Wear(COST), 0, 0, 0
@@ -99,7 +99,7 @@ def test_an_increment_by_a_worn_tangent_is_computed_anew_at_once(monkeypatch):
     assert increments[-1] == "S"  # a tangent is not renewed for the last increments
 
 
-def test_counts_are_restored():
+def test_counts_of_directions_are_restored_from_a_checkpoint():
     wear, again = Wear(COST), Wear(COST)
     wear.rate(1e-3, is_new=True)
     for directions in (10, 25, 20):
@@ -119,7 +119,7 @@ def test_counts_are_restored():
     assert not again.is_dear(1.0)
 
 
-def test_a_resumed_run_renews_where_the_whole_one_does(tmp_path):
+def test_a_resumed_run_renews_its_tangent_at_the_same_steps(tmp_path):
     """The steps are so short that one tangent serves several of them."""
     newton = nv.NewtonOptions(split=SplitOptions(renewed_after=1))
 

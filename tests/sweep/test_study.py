@@ -137,7 +137,7 @@ def test_a_stopped_study_goes_on_where_it_was(case_file, tmp_path):
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_a_run_of_a_study_ends_with_its_standard_input(case_file, tmp_path):
+def test_a_run_of_a_study_ends_when_its_standard_input_closes(case_file, tmp_path):
     out = tmp_path / "run"
     words = ["run", str(case_file), "-o", str(out), "--set", "time.until=40", "--quiet", "--ends-with-stdin"]
     command = [sys.executable, "-m", "ngvisco", *words]
@@ -197,7 +197,7 @@ def test_wrong_input_is_refused_before_anything_is_written(case_file, tmp_path, 
     assert not (tmp_path / "study").exists()
 
 
-def test_without_the_extra_the_command_names_it(case_file, tmp_path, capsys, monkeypatch):
+def test_the_command_names_a_missing_extra(case_file, tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     assert sweep(case_file, tmp_path / "study", "--vary", "material.G_e=1") == 2
     assert 'pip install "ngvisco[sweep]"' in capsys.readouterr().err
@@ -214,7 +214,7 @@ def test_an_address_without_a_port_is_refused_before_a_client_is_made(monkeypatc
     assert not made
 
 
-def test_a_worker_without_a_version_is_no_worker_of_none():
+def test_a_worker_whose_version_is_unknown_is_refused():
     client = SimpleNamespace(run=lambda version: {"tcp://there:1": None})
     with pytest.raises(SweepError, match="tcp://there:1 has a version of a clone that is not installed"):
         _check_workers(client, "tcp://there:0")
@@ -222,7 +222,7 @@ def test_a_worker_without_a_version_is_no_worker_of_none():
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_another_scheduler_does_the_runs(case_file, tmp_path):
+def test_a_study_runs_on_a_given_scheduler(case_file, tmp_path):
     from distributed import LocalCluster
 
     options = {"processes": False, "n_workers": 1, "threads_per_worker": 1, "dashboard_address": None}

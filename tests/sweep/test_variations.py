@@ -24,7 +24,7 @@ def test_commas_within_brackets_and_quotes_do_not_separate_values(text, values):
     "text",
     ["material.G_e", "=1,2", "material.=1", "a.b=", "a.b=1,,2", "a.b=1,1", "a.b=[1,2", "a.b=1],2", "a='1"],
 )
-def test_what_is_no_list_of_values_is_refused(text):
+def test_an_invalid_list_of_values_is_refused(text):
     with pytest.raises(SweepError, match=r"--vary"):
         Variation.parse(text)
 
@@ -42,7 +42,7 @@ def test_an_empty_or_repeated_variation_is_refused():
             combinations(variations)
 
 
-def test_names_are_of_any_file_system_and_tell_runs_apart():
+def test_names_of_runs_are_valid_on_any_file_system_and_distinct():
     values = ("sin(x)/2", "sin(x)*2", "x" * 300, "x" * 301)
     names = [c.name for c in combinations([Variation("initial.density", values)])]
     assert len(set(names)) == 4

@@ -92,7 +92,7 @@ def test_velocity_is_that_of_the_limited_density_and_momentum(scheme):
 
 
 @pytest.mark.parametrize("scheme", [by_ci("backward-euler"), "midpoint"])
-def test_what_the_limiter_takes_through_walls_is_its_own(scheme):
+def test_energy_that_the_limiter_takes_through_walls_has_its_own_column(scheme):
     """The lid's power is that of the same step without a limiter, whose density is not limited."""
     runs = [cavity(scheme=scheme, mesh=coarse()) for _ in range(2)]
     for run in runs:
@@ -127,7 +127,7 @@ CONTINUED = {
 
 
 @pytest.mark.parametrize("name", ["J_min", by_ci("Yosida approximation")])
-def test_a_continued_energy_lets_a_run_pass_J_of_zero(name):
+def test_a_run_with_a_continued_energy_passes_J_of_zero(name):
     """The paper's discrete scheme, too, admits any (F, J)."""
     run = cavity(CONTINUED[name])
     run.run(DT)
@@ -167,7 +167,7 @@ def test_J_of_a_fluid_passes_zero_by_its_motion_and_comes_back():
     assert bounded.ledger.column("J_min").min() > 0
 
 
-def test_a_variable_that_the_energy_does_not_read_never_ends_a_run():
+def test_a_variable_without_effect_on_the_energy_never_ends_a_run():
     """The F of a fluid is turned inside out; a solid with such an F cannot start."""
     fluid = nv.CustomMaterial(
         transported=(Distortion(), Jacobian()), stored_energy=lambda F, J: 10 * (J - 1) * (J - 1)

@@ -108,7 +108,7 @@ def test_a_checkpoint_of_another_scheme_is_refused(tmp_path):
     ],
     ids=["another length", "adaptive to fixed", "fixed to adaptive"],
 )
-def test_times_go_on_after_a_restart_with_other_steps(before, after, tmp_path):
+def test_times_continue_after_a_restart_with_other_steps(before, after, tmp_path):
     simulation(**before, observers=[nv.Checkpoints(tmp_path / "run.h5")]).run(0.04)
     rest = simulation(**after)
     rest.restore(tmp_path / "run.h5")
@@ -145,7 +145,7 @@ def test_an_interrupt_leaves_the_state_before_the_step(where, monkeypatch, tmp_p
         assert np.abs(one.run(0.08).column("closure_relative")).max() < 1e-12
 
 
-def test_an_end_of_negative_density_is_refused_where_the_stage_is_not(monkeypatch):
+def test_a_negative_density_at_the_end_of_a_step_is_refused(monkeypatch):
     """The end of a midpoint step is extrapolated, and has to be positive like a stage."""
     run = simulation(halvings=0)
     sound, stage_end = run.bounds.defect, 0.5 * run.dt
@@ -207,7 +207,7 @@ def test_sdirk2_damps_a_creep_that_midpoint_reflects():
 # --- relaxation ----------------------------------------------------------------------------------------
 
 
-def test_a_relaxed_run_dissipates_nothing_numerically():
+def test_a_relaxed_run_has_no_numerical_dissipation():
     """The sum of kinetic and stored energy has no numerical dissipation at any step, also where an output
     time is met exactly."""
     stepping = nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.02)
@@ -228,7 +228,7 @@ def test_a_relaxed_run_dissipates_nothing_numerically():
 
 
 @pytest.mark.parametrize(("dt", "speed"), [(1e-4, 1.0), by_ci(0.02, 1e-4), by_ci(0.02, 1e-6), (0.02, 0.0)])
-def test_a_relaxed_run_ends_where_little_moves(dt, speed):
+def test_a_relaxed_run_reaches_its_end_also_if_little_moves(dt, speed):
     """In a short step, or a slow motion, the remainder is as small as the rounding of the energies, and its
     zero is as uncertain."""
     slow = nv.Initial(velocity=(speed * SWIRL[0], speed * SWIRL[1]))
@@ -286,7 +286,7 @@ def test_the_controller_keeps_the_error_at_its_tolerance(scheme):
 # --- advice --------------------------------------------------------------------------------------------
 
 
-def test_a_run_that_its_scheme_damps_says_so_and_what_to_choose(capsys):
+def test_a_run_damped_by_its_scheme_advises_another_scheme(capsys):
     euler = simulation(scheme="backward-euler", observers=[nv.Progress(0.1)])
     euler.run(0.1)
     said = [line for line in capsys.readouterr().out.splitlines() if "dissipated" in line]
@@ -297,7 +297,7 @@ def test_a_run_that_its_scheme_damps_says_so_and_what_to_choose(capsys):
     assert "dissipated" not in capsys.readouterr().out
 
 
-def test_what_a_transfer_took_is_not_said_to_be_the_schemes():
+def test_energy_lost_in_a_transfer_is_not_attributed_to_the_scheme():
     run = simulation()
     run.ledger.add_once("transfer", 1.0)
     run.ledger.start(0.0)
@@ -307,7 +307,7 @@ def test_what_a_transfer_took_is_not_said_to_be_the_schemes():
     assert dissipation_advice(run) is None
 
 
-def test_relaxed_steps_meet_their_ends_under_a_wall_that_speeds_up():
+def test_relaxed_steps_end_at_their_times_beside_an_accelerating_wall():
     """omega is no more exact than the solution of the Rothe step; before, steps were halved until no length
     remained."""
     stepping = nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.04)

@@ -52,7 +52,9 @@ def test_coupled_rates_are_those_of_theory(
 
 
 @pytest.mark.long
-def test_faces_whose_sides_see_different_points_lose_the_rates(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rates_are_lost_if_the_two_sides_of_a_face_have_different_points(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Negative control: NGSolve's own rules for triangles, which are not symmetric, give 2.38, not 3.05."""
     monkeypatch.setattr(quadrature, "SYMMETRIC_DEGREE", 20)
     assert coupled_rates("linear", 3, None, 3, 2, 1.0, 3).last("rho") < THIRD[1]

@@ -18,7 +18,7 @@ def test_forces_are_the_slope_of_the_energy_and_in_balance():
     assert np.abs(forces.sum(axis=0)).max() < 1e-14
 
 
-def test_a_taylor_green_vortex_decays_as_it_must():
+def test_a_taylor_green_vortex_decays_at_its_exact_rate():
     """The energy decays by exp(-16 pi^2 nu t); the disc's shear modulus is negligible."""
     still = Problem(centre=(0.5, 0.5), radius=0.2, shear_modulus=1e-9, viscosity=0.01, vortex=0.05)
     rows = computed(still, 32, np.array([0.0, 0.2]))

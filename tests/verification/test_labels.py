@@ -39,7 +39,7 @@ def test_every_test_of_the_table_exists():
     assert tests and not [test for test in tests if test[2] not in functions(test[1])]
 
 
-def test_readme_says_how_many_are_measured_by_themselves():
+def test_the_readme_states_how_many_labels_are_measured_by_themselves():
     """A part measured only with its whole does not count as measured."""
     own, whole, none = map(
         int, re.findall(r"(\d+) (?:with a case|measured with|not)", label_table(all_cases()).title)
@@ -51,7 +51,7 @@ def test_readme_says_how_many_are_measured_by_themselves():
     assert f"{none} labels are not measured" in said and own + whole + none == 215
 
 
-def test_a_label_is_measured_or_it_is_said_why_not():
+def test_each_label_is_measured_or_has_a_reason_why_not():
     table = label_table(all_cases())
     silent = [row[0] for row in table.rows if row[3] == "not measured"]
     assert not silent
@@ -75,7 +75,7 @@ def test_every_label_that_the_package_or_a_case_names_is_one_of_the_paper():
                 assert part in labels(), (one.name, part)
 
 
-def test_labels_are_found_whole():
+def test_a_part_of_a_label_is_not_found():
     text = "Euler-small-est3+ and Euler-small-est1: Euler-small-viscoelastodyn+0disc. (ZJ), 1/J-continuity-eq"
     assert labels_in(text) == [
         "Euler-small-est3+",
@@ -87,7 +87,7 @@ def test_labels_are_found_whole():
     assert labels_in("Euler-small-estimates, ZJs, xZJ, rem-f-ne-0x") == []
 
 
-def test_modules_are_those_that_name_the_label():
+def test_each_label_lists_the_modules_that_name_it():
     found = label_modules()
     assert "physics/variables" in found["DT-det-extended"]
     assert "physics/rheology" in found["Euler-small-ass-D"]
@@ -97,7 +97,7 @@ def test_modules_are_those_that_name_the_label():
     assert "run/ledger" not in found["cut-off"] and "physics/regularisation" in found["cut-off"]
 
 
-def test_cases_are_those_that_name_the_label_also_in_a_bound():
+def test_each_label_lists_the_cases_that_name_it_also_in_a_bound():
     one = case("rem-f-ne-0; an exact solution", "Euler-small-est7: bounded")
     assert cases_by_label([one]) == {"rem-f-ne-0": ["a-case"], "Euler-small-est7": ["a-case"]}
     measured = {row[0]: row[3] for row in label_table([one]).rows}
@@ -107,7 +107,7 @@ def test_cases_are_those_that_name_the_label_also_in_a_bound():
 
 
 @pytest.mark.parametrize("line", ["a | b | c", "a | nowhere | c | d", "ZJ | | x |\nZJ | | x |"])
-def test_a_line_that_is_none_is_refused(line, monkeypatch, tmp_path):
+def test_an_invalid_line_of_the_table_of_labels_is_refused(line, monkeypatch, tmp_path):
     (tmp_path / "labels.txt").write_text(line)
     monkeypatch.setattr(module.resources, "files", lambda package: tmp_path)
     with pytest.raises(VerificationError, match=r"labels.txt"):

@@ -76,7 +76,7 @@ def test_sources_are_the_residuals_of_the_strong_equations(kind: str, dim: int, 
         ("linear", "with nu", "G_e", "momentum Pi"),
     ],
 )
-def test_check_of_the_sources_sees_a_coefficient_that_is_one_per_cent_off(
+def test_the_check_of_sources_finds_a_coefficient_that_is_one_per_cent_off(
     kind: str, terms: str, names: str, equations: str
 ) -> None:
     """Negative control: the check must fail in the equations that contain the coefficient."""

@@ -99,7 +99,7 @@ def spring_bar(stiffness: float, **options) -> nv.Simulation:
     )
 
 
-def test_a_spring_s_energy_that_is_left_out_is_seen_in_the_closure(monkeypatch):
+def test_the_closure_shows_a_missing_energy_of_springs(monkeypatch):
     monkeypatch.setattr(Springs, "energy", lambda self, u: Entry("stored", "energy", Integrand(facets=0 * x)))
     run = spring_bar(20.0)
     start = run.ledger.energy()

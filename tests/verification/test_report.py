@@ -79,7 +79,7 @@ def test_cases_that_were_run_again_take_their_places_in_the_kept_report(cases, t
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])
-def test_what_is_not_a_number_keeps_no_bound(cases, tmp_path, value):
+def test_a_value_that_is_not_finite_keeps_no_bound(cases, tmp_path, value):
     cases += [case("nan", value)]
     assert main(["-o", str(tmp_path / "r")]) == FAILED
     saved = Result.from_json((tmp_path / "r" / "cases" / "nan.json").read_text())
@@ -130,7 +130,7 @@ def test_case_is_declared_by_a_text_above_the_function_that_measures_it():
         cases(TEXT.replace("limit-tau", "limit-tau-0.7"))
 
 
-def test_closure_and_drift_are_those_of_all_runs_of_a_case(monkeypatch):
+def test_closure_and_drift_are_the_worst_of_all_runs_of_a_case(monkeypatch):
     """Runs that the case drops count too. A case without a run is an error, because it has no closure."""
     monkeypatch.setattr(
         Ledger, "record", lambda ledger, off: {"closure_relative": -off, "mass_drift": off / 2}
@@ -172,7 +172,7 @@ def test_list_runs_nothing(cases, tmp_path, capsys, monkeypatch):
     assert "one & so on" in capsys.readouterr().out and not list(tmp_path.iterdir())
 
 
-def test_what_stands_in_a_directory_is_left_alone(cases, tmp_path, capsys):
+def test_a_report_does_not_change_other_files_of_its_directory(cases, tmp_path, capsys):
     """Other files stay, with ``--resume`` or without, and an earlier report stays without ``--resume``."""
     cases += [case("one", 0.5)]
     (tmp_path / "thesis.tex").write_text("mine")
@@ -244,7 +244,7 @@ BOTH_MODELS = (
 )
 
 
-def test_every_claim_is_on_a_linearised_and_a_finite_strain_case():
+def test_every_case_of_both_models_is_linearised_and_at_finite_strains():
     names = {c.name for c in all_cases()}
     for name in BOTH_MODELS:
         assert {f"{name}-linearised", f"{name}-finite"} <= names
@@ -264,7 +264,7 @@ def test_reduced_set_holds(tmp_path):
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_two_cases_at_once_are_those_of_one_after_the_other(tmp_path):
+def test_cases_computed_at_once_equal_those_computed_in_turn(tmp_path):
     names = ["stability-free-linearised", "stability-loaded-linearised"]
     found = []
     for jobs in ("1", "2"):

@@ -27,7 +27,7 @@ def test_both_solvers_agree_on_the_whole_scheme(kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_norms_are_those_of_the_ledger_and_of_the_fields(kind):
+def test_norms_follow_from_the_ledger_and_the_fields(kind):
     norms = Norms(whole(kind, 0.02, square_mesh(0.5), 1e-2, 1e-2))
     for _ in range(2):
         norms.advance()
