@@ -1,6 +1,7 @@
 """Each test process has one NGSolve thread: sums have a fixed order, and processes share the cores.
 
-There are three tiers.  The default tier is all tests without the mark `long`; `-m quick` is a part of it.
+There are three tiers.  The default tier has all tests without the mark `long`, the quick tier (`-m quick`) a
+part of them.
 """
 
 import gc
@@ -44,7 +45,7 @@ NOT_QUICK = {
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection(session):
-    """Collect the tests without a search for garbage, which would go through all of them twenty times."""
+    """Collect the tests while Python's garbage collector is off: it would visit all tests twenty times."""
     gc.disable()
     try:
         return (yield)

@@ -1,4 +1,4 @@
-"""Examples of all materials of the package, one of each form, and the table of materials.
+"""Examples of all materials of the package, one for each elastic state, and the table of materials.
 
 ``table()`` is the table of MATERIALS.md; a test runs every example.
 """
@@ -37,7 +37,8 @@ class Example:
 
 @cache
 def examples() -> tuple[Example, ...]:
-    """One example of every form of every material, in the paper's order; moduli are of order 1 to 10 Pa."""
+    """One example of every material by each elastic state, in the paper's order; moduli are of order 1 to 10
+    Pa."""
     return (
         Example(
             laws.LinearElastic(K_e=10.0, G_e=5.0),
@@ -194,7 +195,8 @@ _ISOTROPIC = (
         "exa-Mooney–Rivlin-ref, DT-det-inverse",
     ),
 )
-"""Isotropic materials at finite strain: options of the constructor, energy and convexity by F and by B."""
+"""Isotropic materials at finite strain: options of the constructor, then energy and convexity, by F and by
+B."""
 
 
 def _isotropic(elastic_state: Literal["F", "B"]) -> Iterator[Example]:

@@ -1,4 +1,4 @@
-"""Mutants: terms with a wrong sign or factor, and for each the default or CI test that fails.
+"""Mutants: terms with a wrong sign or factor, each with a test of the default suite or of CI that fails.
 
 ``python tests/mutants.py [names]`` makes each change in a copy of the sources and runs its test there, which
 has to fail. ``tests/test_mutants.py`` does this among the long tests, and in the default suite checks that

@@ -28,7 +28,8 @@ BY_ALL = nv.CustomMaterial(
         3 * (J - 1) * (J - 1) + 3 * (A - 1) * (A - 1) + square(F) + square(H) + 0.5 * square(H) * square(H)
     ),
 )
-"""Materials of the same kind with Cof F and 1/J."""
+"""Materials whose variables also contain Cof F or 1/J, with energies that are convex and finite for all
+values."""
 
 MESHES = {
     "triangles": lambda: box((1, 1), 0.4),
@@ -45,9 +46,9 @@ def step_of(mesh=None, material=CONVEX, m=1, regularisation=None):
 
 
 def shaken(step, share=0.3, size=2.0, seed=0, variable=None):
-    """Add random polynomials without a mean to rho and z in a share of the cells; gives these cells.
+    """Add random polynomials of mean zero to rho and z in a share of the cells, and return these cells.
 
-    With ``variable`` polynomials are added only to this variable of z.
+    If ``variable`` is given, only this variable of z is changed.
     """
     rng = np.random.default_rng(seed)
     chosen_rows = {"rho": slice(None), "z": slice(None)}
@@ -114,7 +115,8 @@ def test_limiter_keeps_every_mean_and_restores_every_bound(name, m):
 
 
 def test_a_limited_density_is_no_less_than_its_share_of_the_mean():
-    """The scaling is the largest one that keeps the bound, to the accuracy of the bisection."""
+    """The slope of the density is scaled by the largest factor that keeps the bound, to the accuracy of the
+    bisection."""
     step = step_of()
     shaken(step)
     sampler = Sampler(step.mesh, step.quadrature)
@@ -145,8 +147,8 @@ def test_momentum_is_scaled_with_its_density():
 @pytest.mark.parametrize("mesh", MESHES)
 @pytest.mark.parametrize(("quantity", "variable"), [("A", "A"), ("det H", "H"), ("det F", "F"), ("J", "J")])
 def test_each_variable_is_held_to_its_own_bound(quantity, variable, mesh):
-    """A single variable leaves its bounds: the cells are found, the variable is restored as far as
-    necessary, and means and rho are kept."""
+    """A single variable leaves its bounds. The limiter finds the cells, scales only this variable, and keeps
+    means and rho."""
     step = step_of(MESHES[mesh](), material=BY_ALL)
     chosen = shaken(step, variable=variable)
     bounds, state = bounds_of(step), step.state.vec.FV().NumPy()
@@ -240,7 +242,7 @@ BELOW_CUT_OFF = nv.Regularisation(rho_max=2.2, width=0.3)
 
 
 def test_limiter_keeps_a_cut_off_s_bound_and_every_mean():
-    """The limiter keeps rho <= rho_max + width where the state satisfied this bound at first."""
+    """The limiter restores rho <= rho_max + width in cells that satisfied this bound before the step."""
     step = step_of(regularisation=BELOW_CUT_OFF)
     bounds = bounds_of(step)
     shaken(step, size=1.0)

@@ -1,4 +1,4 @@
-"""A stored energy that is kept at the quadrature points, in the residual and in its Jacobian."""
+"""An energy whose values at quadrature points are stored: the residual and its Jacobian."""
 
 from dataclasses import replace
 from functools import cache

@@ -1,5 +1,4 @@
-"""Starts at rest under a weight: the pressure bears the weight above, in materials, layers and bodies, with
-heat."""
+"""Hydrostatic starts: the initial pressure bears the weight above, in materials, layers, bodies and heat."""
 
 import warnings
 
@@ -77,7 +76,7 @@ def test_any_material_bears_its_weight(law, state):
 
 @pytest.mark.parametrize("solver", ["coupled", "split"])
 def test_constants_in_cells_bear_the_weight_under_linear_velocities(solver):
-    """The lowest orders hold the body at rest; without the equilibrium it falls."""
+    """With the lowest orders the body stays at rest; without the hydrostatic start it falls."""
     run = at_rest(density=RHO, solver=solver, discretisation=LOWEST)
     assert pressures(run, 0.125, 0.875) == pytest.approx([RHO * 0.875, RHO * 0.125], abs=0.1 * RHO)
     assert speed(run) < 1e-10

@@ -28,7 +28,7 @@ MATERIALS["WithQuadratic"] = nv.WithQuadratic(material=CONVEX, delta=0.01)
 
 
 class Diffusion:
-    """Only the term of field diffusion, for one material on one mesh."""
+    """The term of field diffusion alone, for one material on one mesh."""
 
     def __init__(self, material, mesh, m=1, penalty=4.0):
         law = Regularisation(delta_fields=DELTA, penalty=penalty)

@@ -54,7 +54,7 @@ CLOSED = {
     "euler": (lambda theta: 0.05 * theta * theta, {}, True),
     "relaxed midpoint": (0.05, {"scheme": "midpoint", "relaxation": True, "adaptive": STEPS}, False),
 }
-"""Conductivity, options of the steps, numerical heating: schemes that keep the energy of a closed box."""
+"""Schemes that keep the energy of a closed box: conductivity, options of the steps, numerical heating."""
 
 
 BREAKING = nv.Damaged(material=SOLID.material, G_c=0.4, length=1.0, viscosity=0.02, part="all")
@@ -64,9 +64,8 @@ YIELDING = nv.Perzyna(sigma_Y=0.1, G_m=1.0)
 @pytest.mark.filterwarnings("ignore:.*no longer belong to one distortion")  # four cells
 @pytest.mark.parametrize("kind", others_by_ci(CLOSED, "euler"))
 def test_a_closed_box_keeps_its_energy_and_gains_entropy_in_both_solvers(kind):
-    """All mechanisms are on: creep beyond a yield stress, damage that grows, and friction at a wall.
-
-    The remaining error is the tolerance of the iteration. The damage's ``bregman_damage`` is not heat.
+    """Creep beyond a yield stress, growing damage and friction at a wall dissipate. The energy is kept to the
+    tolerance of the iteration. The damage's ``bregman_damage`` is not heat.
     """
     conductivity, options, numerical = CLOSED[kind]
     all_on = {"material": replace(SOLID, material=BREAKING), "laws": ALL | {"creep": YIELDING}}
@@ -252,7 +251,8 @@ def test_an_entropy_of_zero_is_judged_by_its_rounding():
 
 @pytest.mark.filterwarnings("ignore:.*of the present momentum")
 def test_a_huge_heat_transfer_coefficient_is_judged_by_the_rounding_of_its_exchange():
-    """The exchange is coefficient times a difference of temperatures in their last digits."""
+    """The exchange is the coefficient times a difference of temperatures that agree up to their last
+    digits."""
     walls = {"left": 400.0, "right": 300.0}
     run = nv.Simulation(
         structured_box((0.01, 0.01), (2, 1)),
@@ -316,7 +316,8 @@ THINNER = nv.ActivatedViscosity(viscosity=VISCOSITY, E=20.0, theta_R=1.0)
 
 
 def bodies_of(pair, **changes):
-    """Two halves of a body; the left half creeps, and both are less viscous where they are warm."""
+    """Two bodies side by side, each half of the box; the left one creeps, and both are less viscous where
+    they are warm."""
     cold = nv.ReferentialNeoHookean(K_e=10.0, G_e=1.0)
     laws = {"left": {"where": 0.5 - x, "creep": nv.Creep(G_m=1.0)}, "rest": changes}
     return [
@@ -343,8 +344,8 @@ none."""
 
 @pytest.mark.parametrize(("kind", "other"), PAIRS_OF_BODIES)
 def test_bodies_keep_their_energy_and_gain_entropy_in_both_solvers(kind, other):
-    """Viscosity, creep, friction and conduction act, the right half has its own law, and what the limiter
-    takes is no heat."""
+    """Viscosity, creep, friction and conduction act; the right half has its own law of heat. Energy taken by
+    the limiter does not become heat."""
     _, options, numerical = CLOSED[kind]
     tolerance = 3e-14 if numerical else 1e-13  # the loss is in proportion to the tolerance
     pair = ({"c": 3.0, "expansion": 0.1}, {"c": 1.0} | other)
@@ -380,7 +381,7 @@ def test_bodies_keep_their_energy_and_gain_entropy_in_both_solvers(kind, other):
 
 
 def test_a_heated_body_becomes_warmer_than_the_other_body():
-    """The right half, c = 1, is heated by 2 W/m^3 for 0.05 s, by 0.1 K; the left half is not heated."""
+    """A source of 2 W/m^3 heats the right half (c = 1) for 0.05 s, by 0.1 K; the left half has no source."""
     pair = ({"c": 3.0}, {"c": 1.0})
     bodies = bodies_of(pair, heat=nv.Heat(source=2.0))
     model = nv.Model(bodies=bodies, heat=nv.Heat(numerical_heating=True))

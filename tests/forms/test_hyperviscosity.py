@@ -63,7 +63,7 @@ def make_consistent(step: Step) -> None:
 
 
 def set_smooth(step: Step, v: tuple[CoefficientFunction, ...]) -> None:
-    """v in the space and a = d_n v (the mean of both sides', which are equal)."""
+    """Set v to a function of its space, and a to d_n v, which is equal on both sides of a facet."""
     step.state.vec[:] = 0.0
     parts_of(step)["v"].Set(CF(v))
     complete(step)

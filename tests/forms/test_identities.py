@@ -1,4 +1,4 @@
-"""Identities of the discrete forms by the paper's labels, and the meaning of the forms, on random states."""
+"""Identities of the discrete forms on random states, with the paper's labels."""
 
 import numpy as np
 import pytest
@@ -82,7 +82,7 @@ def test_convection_is_powerless(case: Case) -> None:
 
 @by_case
 def test_inertia_returns_kinetic_energy_and_its_remainder(case: Case) -> None:
-    """With m_old = rho_old v_old, tau <R, v> = kinetic - kinetic_old + 1/2 int rho_old |v - v_old|^2."""
+    """If m_old = rho_old v_old, tau <R, v> = kinetic - kinetic_old + 1/2 int rho_old |v - v_old|^2."""
     step = step_of(case)
     randomise(step, 3)
     power = block(step, rows(step, "Inertia"), "v") @ coefficients(step, "v")

@@ -1,4 +1,4 @@
-"""Corners and bends of walls: straight facets that slip, corners that determine div v, and refused walls."""
+"""Corners and bends of walls: slip on straight facets, div v of corner cells, refused walls."""
 
 import warnings
 

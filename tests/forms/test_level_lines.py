@@ -49,7 +49,7 @@ def test_distance_has_one_sign_without_an_outline():
 
 
 def test_lines_of_a_linear_distance_are_planes(rng):
-    """Levels, projected indicators and shares of strips are those of the exact formulas for half-spaces."""
+    """Levels, projected indicators and shares of strips agree with the exact formulas for half-spaces."""
     mesh = box((1, 1), 0.4)
     cells, theta = np.arange(mesh.ne), rng.uniform(0.05, 0.95, mesh.ne)
     corners = np.array([[mesh[vertex].point for vertex in cell.vertices] for cell in mesh.Elements()])
@@ -67,7 +67,8 @@ def test_lines_of_a_linear_distance_are_planes(rng):
 
 
 def test_a_strip_thinner_than_a_cell_has_two_sides():
-    """Half of a cell is inside |y - 1/2| < w: its corners are outside, as no plane allows."""
+    """Half of a cell is inside |y - 1/2| < w, although all its corners are outside; no single plane cuts a
+    cell like this."""
     mesh = structured_box((1, 1), (1, 1))
     phi = -((y - 0.5) ** 2)
     lines = LevelLines(mesh, phi, np.arange(mesh.ne), np.full(mesh.ne, 0.5))

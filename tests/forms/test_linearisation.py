@@ -72,7 +72,7 @@ def test_a_block_for_each_variable_changes_no_coefficient(case: Case) -> None:
 
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_linearisation_at_rest_is_finite(case: Case) -> None:
-    """Velocity and Hessian are zero: no power or root of zero may give NaN."""
+    """Velocity and Hessian are zero; powers and roots of zero must not give NaN."""
     step = step_of(case)
     randomise(step, size=0.0)
     step.local_unknowns.update()  # |Hs|^2 = 0 exactly

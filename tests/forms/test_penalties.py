@@ -57,8 +57,8 @@ def test_diffusion_levels_a_step_of_the_density_as_fick_has_it():
 
 @pytest.mark.parametrize("m", [1, 2])
 def test_field_diffusion_lowers_a_jump_by_its_penalty(m):
-    """The mesh has two triangles with constant fields: each side loses delta s/h C [zeta]^2/4 by the
-    penalty, beside the loss by the slope."""
+    """The mesh has two triangles with constant fields. The penalty dissipates delta s/h C [zeta]^2/4 on each
+    side of the facet, in addition to the dissipation by the slope."""
     B, gamma, found = 10.0, 1.4, {}
     slope = -B * gamma * np.array([1.1, 0.9]) ** (-gamma - 1)
     for penalty in (4.0, 8.0):

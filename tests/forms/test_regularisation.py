@@ -114,8 +114,8 @@ def test_skew_convection_equals_the_paper_s_minus_half_of_continuity(case):
     rho|^(r-2) grad rho).
 
     m = K(rho) rho v, and tests are velocities that vanish on the walls; the form is exact for these
-    polynomials, since grad rho and K(rho) are constant. The ledger cannot see a missing part, because each
-    part is powerless.
+    polynomials, since grad rho and K(rho) are constant. Each part is powerless, so that the ledger would not
+    show a missing part.
     """
     law, rho = CONVECTED[case]
     step = simulation(law, maxh=0.3).rothe_step

@@ -1,4 +1,4 @@
-"""Bodies that are separated at the end of a step: kept integrals, moving interfaces, and refused models."""
+"""Sharp bodies, separated at the end of a step: kept integrals, moving interfaces, refused models."""
 
 import warnings
 from contextlib import nullcontext
@@ -97,8 +97,9 @@ def test_sharpening_keeps_masses_the_sum_of_amounts_and_the_energy(material, mes
 @pytest.mark.parametrize("mesh", MESHES)
 @pytest.mark.parametrize("most", [1.1, 1.6])
 def test_determinants_are_restored_and_the_energy_does_not_rise(material, mesh, most, rng):
-    """At corners where X is too large, det B becomes 1. Where X is too small, it becomes 1 if the energy
-    falls more elsewhere (``most`` 1.6), else a share of the difference is made up, and the energy stays."""
+    """At corners with too large X, det B becomes 1. At corners with too small X, det B becomes 1 if the
+    energy released at other corners suffices (``most`` 1.6); otherwise det B rises by a share of the
+    difference, so that the energy stays the same."""
     step, bounds = smeared(material, *MESHES[mesh]())
     by, states = bounds.sharpening, step.layout.states
 
@@ -127,8 +128,8 @@ def test_determinants_are_restored_and_the_energy_does_not_rise(material, mesh, 
 
 
 def restored(material, factors):
-    """det (X/n) N^2 of the disc at corners, N the amount of all matter, before and after determinants are
-    restored; amounts are first multiplied by ``factors``, (corners of a cell,)."""
+    """det (X/n) N^2 of the disc at corners, before and after determinants are restored; N is the amount of
+    all matter. Amounts are first multiplied by ``factors``, (corners of a cell,)."""
     step, bounds = smeared(material)
     by, states, found = bounds.sharpening, step.layout.states, []
     u = by._values()
@@ -146,7 +147,8 @@ def restored(material, factors):
 
 @pytest.mark.filterwarnings("ignore::ngvisco.InputWarning")  # B alone has a stress at rest
 def test_restored_determinants_are_the_power_of_the_volume():
-    """det B = J^2 for B itself, with J = 1/N; the tensors of the other tests have the determinant one."""
+    """A variable B, not scaled by a power of J, gets det B = J^2 with J = 1/N. Tensors in the other tests
+    have the determinant one."""
     material = nv.CustomMaterial(
         transported=(LeftCauchyGreen(), Jacobian()),
         stored_energy=lambda B, J: (tr(B) - 3) / (2 * J) + K / 2 * (J - 1) * (J - 1) / J,
@@ -170,7 +172,8 @@ def test_determinants_are_only_lowered_where_moduli_vary():
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_sharpened_tensors_keep_their_slopes_in_cells(dim, rng):
-    """The quotient of a linear X and a uniform n is X/n, up to the trace of matter that bounds it."""
+    """X is linear in a cell and n is uniform; X/n keeps its slope, up to the trace of matter that is added to
+    n."""
     linear = rng.uniform(1, 2, (2, 20, dim + 1))
     B = quotients(np.full(linear.shape[1:], 0.5), 0.5 * linear, np.ones(20))
     assert pytest.approx(linear, abs=4e-3) == B
@@ -207,8 +210,8 @@ def test_shares_behind_a_plane_are_exact_with_a_linear_weight(rng, dim):
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_corners_are_followed_along_the_arcs_of_a_turn(rng, dim):
-    """The error of a turn by phi is phi^3 / 6 of the distance from the axis, not phi^2 / 2 as on a straight
-    path."""
+    """A turn by phi has an error of phi^3/6 of the distance from the axis; a straight path would have
+    phi^2/2."""
     phi, corners, slope = 0.1, rng.uniform(-1, 1, (20, dim + 1, dim)), rng.uniform(-1, 1, dim)
     corners[0] = np.eye(dim + 1, dim)
     slopes = np.linalg.inv(np.concatenate([corners, np.ones((20, dim + 1, 1))], axis=2))[:, :dim]
@@ -221,7 +224,8 @@ def test_corners_are_followed_along_the_arcs_of_a_turn(rng, dim):
 
 
 def test_stages_carry_amounts_by_their_shares_of_the_step():
-    """Two stages at one state with the shares 0.3 and 0.7 carry the amounts of one stage with the share 1."""
+    """Two stages at the same state with the shares 0.3 and 0.7 carry as much as one stage with the share
+    1."""
     _, bounds = smeared()
     by = bounds.sharpening
     flux, velocity = by._flux.copy(), by._velocity.copy()
@@ -234,7 +238,7 @@ def test_stages_carry_amounts_by_their_shares_of_the_step():
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_a_corner_of_a_cell_with_an_interface_contains_one_body(dim):
-    """The projected indicator of any part of a simplex leaves [0, 1]. After the factor has scaled it back,
+    """The projected indicator of any part of a simplex leaves [0, 1]. After a factor has scaled the slope,
     the indicator is 0 or 1 at one corner."""
     _, bounds = smeared(mesh=box((1,) * dim, 0.2 if dim == 2 else 0.35))
     by = bounds.sharpening
@@ -277,8 +281,8 @@ def test_no_cell_gives_more_of_a_body_than_it_has(rng):
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_fractions_of_three_bodies_in_a_cell_are_bounded(dim, monkeypatch):
-    """Masses, N at every point, int X and energy stay; means below zero are filled, and slopes are scaled by
-    one factor."""
+    """Masses, N at every point, int X and the energy are kept. Neighbours fill up negative means, and one
+    factor scales all slopes of a cell."""
     monkeypatch.setattr(Determinants, "restore", lambda self, u, masses: None)
     both = {"material": LINEAR, "density": 1.0}
     left, right = nv.Ball((0.3,) * dim, 0.3), nv.Ball((0.6,) * dim, 0.3)
@@ -319,7 +323,7 @@ def test_fractions_of_three_bodies_in_a_cell_are_bounded(dim, monkeypatch):
 @pytest.mark.parametrize("sign", [-1, 1])
 def test_the_sign_of_an_absent_body_does_not_matter(sign):
     """Where a third body is absent up to rounding, a plane bounds the two other bodies, whatever sign the
-    rounding has. When this sign bounded slopes, every second interface was an even mixture."""
+    rounding has. With slopes bounded by this sign, every second interface was an even mixture."""
     both = {"material": LINEAR, "density": 1.0}
     of = [*bodies(), nv.Body(name="absent", where=nv.Ball((0.0, 0.0), 0.15), **both)]
     step = Step(box((1, 1), 0.2), nv.Model(bodies=of), SHARP)
@@ -374,7 +378,7 @@ def test_an_interface_at_rest_is_left_where_it_is():
 
 
 def turned(solver):
-    """A disc that is carried by the flow of a lid for some steps, and its table."""
+    """Run a disc in a lid-driven flow for some steps; return the run and the table of the disc."""
     table = nv.Bodies()
     run = nv.Simulation(
         structured_box((1, 1), (5, 5), split_corners=True),
@@ -503,8 +507,8 @@ def strip_off(scheme, dt=0.0125):
 
 @pytest.mark.parametrize("scheme", ["backward-euler", "midpoint", "sdirk2"])
 def test_a_sharp_strip_moves_with_the_flow(scheme, monkeypatch):
-    """The exchange has to use the fluxes of all stages. One scheme shows that the strip goes astray without
-    an exchange, and with an exchange in the wrong direction."""
+    """The exchange between cells has to use the fluxes of all stages. As a control for one scheme, the strip
+    goes astray without the exchange, and with an exchange in the wrong direction."""
     assert strip_off(scheme) < 0.03
     if scheme != "midpoint":
         return
@@ -528,8 +532,8 @@ def test_steps_that_carry_an_interface_too_far_are_named_once(dt, times):
 
 
 def test_cells_that_a_step_passes_stay_as_they_are():
-    """A strip higher than its cell comes from a cell farther away, whose plane is not used. When
-    such strips carried matter, the matter gathered in the small cells at a lid's end."""
+    """If a step carries a strip through a whole cell, the strip comes from a cell farther away, whose plane
+    is not known. With an exchange by such strips, matter gathered in the small cells at the ends of a lid."""
     _, bounds = smeared()
     by, tau = bounds.sharpening, 0.05
     height = (
@@ -546,7 +550,8 @@ def test_cells_that_a_step_passes_stay_as_they_are():
 
 
 def passed_through(sharp):
-    """A disc without shear stress, five cells across, that goes once through a periodic box: its table."""
+    """The table of a disc without shear stress, five cells across, that passes once through a periodic
+    box."""
     table = nv.Bodies(measures=["outline", "deformation"])
     disc = nv.Body(name="disc", where=nv.Ball((0.5, 0.5), 0.25), material=FLUID, density=1.0)
     run = nv.Simulation(
@@ -564,8 +569,8 @@ def passed_through(sharp):
 @pytest.mark.long
 @pytest.mark.ci
 def test_an_interface_that_moves_stays_as_wide_as_it_is():
-    """The disc passes through ten cells once. Without ``sharp``, the width becomes 1.7 cells. With ``sharp``,
-    D grows to a hundredth."""
+    """The disc passes through ten cells once. Without ``sharp``, the interface becomes 1.7 cells wide. With
+    ``sharp``, it keeps its width and the deformation D of the disc grows to 0.01."""
     plain, sharp = passed_through(False), passed_through(True)
     assert plain("disc_smeared")[-1] > 1.5 and 0.5 < sharp("disc_smeared")[-1] < 1.0
     assert sharp("disc_inside")[-1] == pytest.approx(np.pi / 16, rel=0.03)
@@ -618,8 +623,8 @@ def test_viscosities_are_in_series_across_an_interface_and_not_across_rounding(r
 
 
 def test_the_parts_of_a_cell_behind_planes_add_up(rng):
-    """The parts chi_i theta_i of bodies sum to one, also of three and beside undershoots; two bodies with
-    equal fractions have 1/2 each, and a body with a fraction <= 0 has none."""
+    """The parts chi_i theta_i of two or three bodies sum to one, also with undershoots of fractions. Two
+    bodies with equal fractions have 1/2 each, and a body with a fraction <= 0 has 0."""
     fractions = Fractions(("a", "b", "c"))
     values = rng.uniform(-0.1, 1.0, (3, 200))
     values[:, 0] = 0.5, 0.5, 0.0
@@ -631,8 +636,8 @@ def test_the_parts_of_a_cell_behind_planes_add_up(rng):
 
 
 def pulled_by_a_film(solver, rows=4, face=0.375):
-    """Traction of a lid over a film of fluid and an elastic layer at rest, whose face is inside a cell, over
-    that of the film alone, G_v U/(1 - face); and the energies' books."""
+    """Traction of a lid over a film of fluid that covers an elastic layer at rest, relative to the film's
+    exact traction G_v U/(1 - face). The layer's face is inside a cell. The ledger is returned too."""
     G_v, U = 0.1, 0.2
     both = {"viscosity": nv.StokesViscosity(K_v=G_v, G_v=G_v), "density": 1.0}
     layer = nv.Body(name="layer", where=nv.HalfSpace((0, face), (0.0, 1.0)), material=LINEAR, **both)
@@ -651,8 +656,9 @@ def pulled_by_a_film(solver, rows=4, face=0.375):
 
 @pytest.mark.parametrize("solver", ["split", by_ci("coupled")])
 def test_a_film_bears_the_traction_of_its_thickness(solver, monkeypatch):
-    """The layer ends at its face, and is not sheared with the film of its cell: the traction is right within
-    5 %. A layer that ends where its fraction is 1/5 and that is sheared with the film bears 10 % too much."""
+    """The traction is right within 5 %, because the layer ends at its face and is not sheared with the film
+    in the same cell. A layer that ended where its fraction is 1/5, and was sheared with the film, would bear
+    10 % too much."""
     share, ledger = pulled_by_a_film(solver)
     assert 0.98 < share < 1.05
     assert np.abs(ledger.column("closure_relative")).max() < 1e-10
@@ -664,8 +670,8 @@ def test_a_film_bears_the_traction_of_its_thickness(solver, monkeypatch):
 
 
 def test_a_thin_film_bears_no_more_than_its_stress():
-    """The fluid's viscosity is 5000 times less than the modulus times the step. When a film took more than
-    the body's shear stress in a step, the sign of the stress changed, and such runs ended."""
+    """The fluid's viscosity is 5000 times less than the modulus times the step. If a film could take more
+    than the body's shear stress in a step, the stress would change its sign, and the run would end."""
     thin = nv.StokesViscosity(K_v=0.1, G_v=1e-5)
     run = nv.Simulation(
         structured_box((1, 1), (6, 6), split_corners=True),

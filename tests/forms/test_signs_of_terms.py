@@ -18,7 +18,8 @@ DT = 1e-3
 
 
 def pushed(left, right, velocity=(0.0, 0.0), density=1.0, model=None, **options):
-    """Change of momentum per time of a box periodic in y between two walls of 1 m."""
+    """The change of momentum per time, N, of a body between two walls of 1 m, in a box that is periodic in
+    y."""
     model = model or nv.Model(material=SOLID)
     walls = {"left": left, "right": right}
     start = nv.Initial(velocity=velocity, density=density)
@@ -56,7 +57,7 @@ def test_friction_brakes_and_a_traction_pulls():
 
 
 def test_inflow_brings_its_momentum():
-    """A fluid at rest has an inlet at 0.2 m/s, which brings the momentum rho v^2 for each m^2 and second."""
+    """Fluid enters a fluid at rest at 0.2 m/s, and brings the momentum rho v^2 per area and time."""
     velocity, density = 0.2, 3.0
     inlet = nv.Inflow(velocity=(velocity, 0.0), density=density)
     _, run = pushed(inlet, nv.Open(), (velocity, 0.0), density)
@@ -80,7 +81,8 @@ def test_loads_pull_where_they_point(load):
 
 
 def test_the_density_is_carried_along_by_the_flow():
-    """A soft body moves as a whole; the ledger's mass would not see a wrong direction."""
+    """A soft body moves as a whole. A density transported in the wrong direction would not change the
+    ledger's mass."""
     model = nv.Model(material=nv.LinearElastic(K_e=1e-3, G_e=1e-3))
     start = nv.Initial(density=1 + 0.3 * sin(2 * pi * x), velocity=(1.0, 0.0))
     mesh = box((1, 1), maxh=0.2, periodic="xy")
@@ -115,8 +117,7 @@ def test_the_pressure_that_laws_read_is_that_of_the_stress():
 
 
 def test_plastic_strain_grows_by_the_equivalent_rate():
-    """dk/dt = sqrt(2/3) |Pi|, compared in one step of a sheared body that yields, with the creep rate of the
-    run."""
+    """dk/dt = sqrt(2/3) |Pi| in one step of a sheared body that yields; Pi is the creep rate of the run."""
     rule = nv.Perzyna(G_m=0.5, sigma_Y=0.1, H=2.0)
     E = CF((0, 0.3, 0, 0.3, 0, 0, 0, 0, 0), dims=(3, 3))
     model = nv.Model(material=nv.LinearElastic(K_e=10.0, G_e=5.0), creep=rule)
@@ -138,7 +139,7 @@ def test_hot_matter_presses_outward():
 
 
 class Feeding(PointTerm):
-    """A wind that is faster than the body on the right, and slower elsewhere."""
+    """A drag by a wind that is faster than the body on the right, and slower elsewhere."""
 
     def cells(self, u, w):
         return [u.context.given(STRENGTH) * inner(u.v, w.v)]
@@ -152,7 +153,7 @@ STRENGTH = IfPos(x - 0.8, -0.1, 1.0)
 
 @pytest.mark.parametrize("solver", ["coupled", "split"])
 def test_a_dissipation_that_gives_energy_at_a_point_is_named(solver):
-    """Form and column have the same law, and the whole term brakes, so that the ledger closes."""
+    """The ledger closes, since form and column have the same law, and the dissipation in sum is positive."""
     start = nv.Initial(velocity=(0.0, 0.1))
     options = {"initial": start, "terms": [Feeding()], "solver": solver}
     run = nv.Simulation(box((1, 1), 0.4, periodic="y"), nv.Model(material=SOLID), dt=DT, **options)
@@ -174,7 +175,7 @@ def test_a_wall_that_gives_energy_is_named(monkeypatch):
 
 
 def test_dissipation_of_anisotropic_viscosities_is_judged_by_its_sum():
-    """The part of the pressure in an anisotropic viscosity may be negative by itself."""
+    """In an anisotropic viscosity, the dissipation of the volumetric part alone may be negative."""
     D = np.diag([1.0, 0.1, 0.1, 0.1, 0.1, 0.1])
     law = nv.LinearViscosity(D=D, notation="mandel")
     start = nv.Initial(velocity=(0.1 * sin(pi * x) * cos(pi * y), -0.2 * cos(pi * x) * sin(pi * y)))

@@ -42,8 +42,8 @@ def differences(warned):
 
 @pytest.mark.parametrize("state", "FB")
 def test_an_unbalanced_stress_at_rest_is_warned_of_before_the_first_step(state):
-    """With the stated difference of stresses a bar moves off at metres a second; with the pressure that the
-    warning recommends it stays."""
+    """With the difference of stresses in the warning, a bar moves off at metres a second. With the pressure
+    that the warning recommends, the bar stays."""
     for pull in (0.0, 1.0):
         with pytest.warns(nv.InputWarning, match="pressure of -T") as warned:
             run = between(PAPER[state], pressure=-pull)
@@ -105,8 +105,8 @@ def test_a_gas_beside_an_open_wall_without_pressure_is_warned_of(recwarn):
 
 @pytest.mark.parametrize("place", ["at the walls", "inside"])
 def test_the_stress_at_rest_is_that_of_the_body_beside_the_wall(place, recwarn):
-    """The mean over the wall contains the stress in the body's half only; a medium that bears a load causes
-    no warning."""
+    """The mean stress at the wall contains that of the body's half only. A medium that bears the load of the
+    wall causes no warning."""
     where = nv.Block((0.0, 0.0), (1.0, 0.25)) if place == "at the walls" else nv.Ball((0.5, 0.25), 0.1)
     bodies = [
         nv.Body(name="body", material=fluid(15.0), where=where, density=1.0),

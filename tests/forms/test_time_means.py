@@ -45,7 +45,8 @@ def test_a_function_is_known_to_depend_on_time(value):
 
 @pytest.mark.parametrize("name", MEANS)
 def test_means_are_exact_to_the_tolerance(name):
-    """The error may also be ten roundings of the time over the pulse's length, if this is larger."""
+    """The admitted error is the tolerance, or ten roundings of the time over the length of the pulse if this
+    is larger."""
     value, exact = MEANS[name]
     found, error = mean(value)
     assert error <= TOLERANCE
@@ -66,7 +67,7 @@ def test_a_tilted_mean_of_a_function_linear_in_time_is_its_value(tilt):
 
 
 def test_a_moving_front_is_reported_as_unresolved():
-    """The function jumps at each place at another time: its error is that of 50 panels, which is known."""
+    """The function jumps at a different time at each place. The reported error is that of 50 panels."""
     front = IfPos(x - 10 * T, 1.0, 0.0)
     found, error = mean(front)
     assert TOLERANCE < error < 0.02
@@ -126,8 +127,8 @@ def momentum_of(load, scheme="backward-euler", solver="coupled", steps=1):
 )
 @pytest.mark.parametrize("scheme", ["backward-euler", "midpoint", "sdirk2"])
 def test_the_gained_momentum_is_the_impulse_of_the_load(load, expected, scheme):
-    """With two Gauss points, the pulse gave 0, and the step function had an error of 0.1. With loads at the
-    times of stages, SDIRK2 was equally wrong."""
+    """Two Gauss points per step would give an impulse of 0 for the pulse, and an error of 0.1 for the step
+    function. Loads at the times of the stages would be as wrong for SDIRK2."""
     assert momentum_of(load, scheme) == pytest.approx(expected, rel=1e-8)
 
 
@@ -150,7 +151,7 @@ def test_a_traction_acts_by_its_mean_over_the_step():
 
 
 def test_an_unresolved_load_is_warned_of_once():
-    """A front that crosses the body makes the load jump at each place at another time."""
+    """A front crosses the body, so that the load jumps at a different time at each place."""
     front = CF((IfPos(x - 10 * nv.time, 1.0, 0.0), 0))
     model = nv.Model(loads=[nv.Gravity(front)], **MODEL)
     run = nv.Simulation(box((1, 1), 1.0), model, time=nv.TimeSteps(dt=0.04, velocity_scale=1.0))

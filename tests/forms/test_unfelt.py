@@ -1,4 +1,4 @@
-"""The ledger's column of motion that no variable feels, and its warning."""
+"""Unfelt motion, to which no variable of the state responds: the ledger's column, and its warning."""
 
 import warnings
 
@@ -14,7 +14,7 @@ from ngvisco.geometries import structured_box
 SMOOTH = {"velocity": (0.1 * sin(pi * x) * y, -0.1 * sin(pi * y) * x), "density": 2.0}
 SOLID = nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0)
 FAINT = nv.StokesViscosity(K_v=0.0, G_v=1e-9)
-"""Held by a viscosity, and hardly."""
+"""A viscosity that hardly damps the unfelt motion."""
 
 
 def run_of(k, m, cells=(4, 4), solver="coupled", **start):
@@ -40,7 +40,7 @@ def test_unfelt_energy_of_smooth_motion_is_of_fourth_order():
 
 
 def test_motion_within_cells_is_measured_and_warned_of_once():
-    """The velocity is random, and made of functions of edges alone."""
+    """The start velocity is a random sum of edge functions alone."""
     run = run_of(2, 0)
     v = run.rothe_step.state.components[run.rothe_step.layout.names.index("v")]
     values = v.vec.FV().NumPy()

@@ -84,8 +84,8 @@ OF_CI = (
     "accelerated rotating wall",
     "traction with friction",
 )
-"""CI tries these schemes; by default test_ledger_of_schemes tries all schemes with walls that change in
-time."""
+"""Schemes that CI tries here. In the default suite, test_ledger_of_schemes tries all schemes with walls that
+change in time."""
 
 
 @pytest.mark.parametrize("name", [by_ci(name) if name in OF_CI else name for name in CASES])

@@ -23,7 +23,7 @@ WARM = nv.Thermal(material=ELASTIC, c=2.0, expansion=1e-3, theta_R=300.0)
 
 
 def stream(*observers, **options):
-    """A soft disc of density 2 in a medium of 1 that flows through at 1 m/s."""
+    """A soft disc of density 2 in a medium of density 1, carried through the box at 1 m/s."""
     what = {"viscosity": VISCOUS}
     disc = nv.Body(name="disc", where=nv.Ball((0.5, 0.5), 0.2), material=ELASTIC, density=2.0, **what)
     model = nv.Model(bodies=[disc, nv.Body(name="medium", material=FLUID, density=1.0, **what)])
@@ -122,8 +122,8 @@ STRESSED = {
 @pytest.mark.parametrize("solver", ["split", "coupled"])
 @pytest.mark.parametrize("state", STRESSED)
 def test_a_stressed_body_leaves_through_windows_unchanged(state, solver):
-    """The body is uniform and moves at 0.3 m/s, and its own stress acts on all windows, so that nothing
-    changes. If matter at rest entered, it would push the body."""
+    """The body is uniform, moves at 0.3 m/s, and has its own stress as the load of all windows, so that
+    nothing changes. Entering matter without strain would push the body."""
     model, mesh = nv.Model(material=STRESSED[state]), box((1, 0.7), 0.5)
     initial = nv.Initial(F=STRETCHED, density=1.3, velocity=(0.3, 0.1))
     T = np.array(nv.Simulation(mesh, model, dt=1.0, initial=initial).fields["cauchy_stress"](mesh(0.4, 0.3)))
@@ -146,8 +146,8 @@ def test_a_stressed_body_leaves_through_windows_unchanged(state, solver):
 
 
 def test_unstrained_inflow_into_a_strained_body_exerts_no_thrust():
-    """The change of the momentum is at most a hundredth of the momentum that phi(0) - phi(z) would give. The
-    run measures the energy lost where the body meets entering matter, and warns of it."""
+    """The momentum changes by at most a hundredth of the impulse of phi(0) - phi(z). The run measures and
+    reports the energy that is lost where the body meets entering matter."""
     model, mesh = nv.Model(material=STRESSED["linear"]), box((1, 0.7), 0.4)
     E = CF((0.05, 0, 0, 0, 0, 0, 0, 0, 0), dims=(3, 3))
     initial = nv.Initial(density=1.3, velocity=(0.3, 0), values={"E": E})
@@ -176,8 +176,9 @@ GIVEN = {
 def test_different_stresses_at_an_inlet_are_warned_of_in_slow_straining(given, recwarn):
     """A strained bar moves through its windows.
 
-    Where the bar meets entering matter at rest, the share of powers that is lost is half of the strain,
-    0.2 %. But the difference of the stresses is the bar's whole stress. A run may have a difference of 5 %.
+    Entering matter is unstrained. Where the bar meets this matter, half of the strain, 0.2 %, is the lost
+    share of the power, but the stresses differ by the bar's whole stress. A run warns if they differ by more
+    than 5 %.
     """
     walls = {
         "left": nv.Inflow(velocity=(0.11, 0.0), **GIVEN[given]),
@@ -266,8 +267,8 @@ def test_a_given_inflow_temperature_has_the_entropy_at_the_present_volume(solver
 
 
 def light_and_stiff(walls, viscosity, dim=2, maxh=0.4, densities=(2.0, 0.5), loads=(), **options):
-    """A disc or ball in a medium of a twentieth of its bulk modulus, 0.5 Pa, that has no expression for
-    both."""
+    """A disc or ball in a medium whose bulk modulus, 0.5 Pa, is a twentieth of the body's. The common energy
+    of both has no expression."""
     what = {"viscosity": nv.StokesViscosity(K_v=viscosity, G_v=viscosity)}
     medium = nv.CustomMaterial(
         transported=(Jacobian(),), stored_energy=lambda J: 0.25 * (J - 1) * (J - 1) / J
@@ -296,7 +297,7 @@ def test_bodies_of_different_bulk_moduli_fly_out_through_a_window(solver):
 
 
 def falls(dt, solver, densities):
-    """How far bodies of different bulk moduli are from v = -g t after 0.6 s of free fall between windows."""
+    """The error of v = -g t for bodies of different bulk moduli, after 0.6 s of free fall between windows."""
     walls, loads = {("bottom", "top"): nv.Open(backflow=False)}, (nv.Gravity((0.0, -1.0)),)
     time = nv.TimeSteps(dt=dt, scheme="midpoint")
     run = light_and_stiff(walls, 0.05, densities=densities, loads=loads, time=time, solver=solver)
@@ -324,7 +325,8 @@ def test_bodies_of_different_densities_fall_freely_up_to_the_midpoint_rule_s_err
 @pytest.mark.filterwarnings("ignore::ngvisco.run.body_tables.SmearedWarning")
 @pytest.mark.parametrize("solver", ["split", "coupled"])
 def test_a_ball_flies_out_through_a_window_with_its_medium(solver):
-    """In 3D the motion stays uniform, and as much of the ball has left as cells of this size allow."""
+    """In 3D the motion stays uniform, and the mass of the ball that has left is right to the accuracy of
+    these cells."""
     walls = {("left", "right"): nv.Open(backflow=False)}
     initial, table = nv.Initial(velocity=(0.5, 0.0, 0.0)), nv.Bodies()
     options = {"dt": 0.2, "initial": initial, "solver": solver, "observers": [table]}
@@ -353,8 +355,8 @@ def test_bodies_of_different_bulk_moduli_reach_the_pressure_of_the_window(solver
 
 @pytest.mark.parametrize(("solver", "as_body"), [by_ci("split", False), ("coupled", True)])
 def test_a_gas_vents_through_a_throttle_as_its_closed_form_says(solver, as_body):
-    """A gas with p = rho^2 fills a chamber of L = 1 m and vents from 1 Pa to P outside through Z v = p - P,
-    slowly beside its sound: p' = -2 p (p - P)/(Z L).
+    """A gas with p = rho^2 at 1 Pa fills a chamber of L = 1 m and vents through an opening with Z v = p - P;
+    P is the pressure outside. Venting is slow compared with sound, so that p' = -2 p (p - P)/(Z L).
 
     The mass is right to 1 %. The flow in the last step and the mean flow are right to 2 %.
     """
@@ -381,7 +383,8 @@ def test_a_gas_vents_through_a_throttle_as_its_closed_form_says(solver, as_body)
 @pytest.mark.parametrize(("solver", "leaves"), [("split", "medium"), ("coupled", "gas")])
 def test_a_body_vents_and_the_one_behind_it_expands_as_their_closed_form_says(solver, leaves):
     """A gas with p = J^-2 and a medium with p = J^-1.25 and a tenth of its density fill one half each of a
-    chamber of 1 m at 1 Pa; the pressure outside is P, and Z v = p - P, slowly beside their sound.
+    chamber of 1 m at 1 Pa. The pressure outside is P, the opening has Z v = p - P, and venting is slow
+    compared with sound.
 
     The body behind fills V = p^(-1/g)/2 m, and p' = -p (p - P)/Z/(V/g + (1 - V)/g_leaves). The mass of the
     body that leaves and the pressure are right to 1 %, the final flows of this body and of all mass to 2 %,
@@ -455,8 +458,9 @@ def test_a_fluid_let_in_at_a_pressure_has_its_density_and_the_velocity_behind_th
 
 
 def filled(solver, scheme="backward-euler", grown=1.0, as_body=False, **fluid):
-    """The density and the velocity of a fluid of 1 kg/m^3 and 1 Pa four fillings of its box after it is let
-    in at 1.25^2 Pa: 1.25 and, by the impedance opposite, (1.25^2 - 1)/2.25 = 0.25."""
+    """Density and velocity of a fluid that starts with 1 kg/m^3 and 1 Pa, after a fluid let in at 1.25^2 Pa
+    has filled the box four times. The exact density is 1.25, and the impedance of the opposite wall gives the
+    velocity (1.25^2 - 1)/2.25 = 0.25."""
     walls = {
         "left": nv.Open(pressure=1 + (1.25**2 - 1) * grown, backflow=False),
         "right": nv.Open(pressure=1.0, impedance=(2.25, 0.0)),
@@ -515,8 +519,8 @@ def test_a_body_enters_with_the_amount_that_belongs_to_the_wall_s_pressure():
 @pytest.mark.long
 @pytest.mark.ci
 def test_an_undetermined_inflow_density_keeps_the_value_of_the_first_inflow():
-    """A control: rho J differs from its start by a few per cent where the shock was, and a run warns of
-    this."""
+    """A control: without rho_R, rho J differs from its start by a few per cent where the shock has passed,
+    and the run warns of this."""
     with pytest.warns(nv.InflowWarning, match="through 'left' at a pressure.*give rho_R"):
         rho, v = filled("split")
     assert 1.26 < rho < 1.35 and v == pytest.approx(0.25, rel=1e-3)
@@ -624,8 +628,8 @@ def test_a_piston_around_a_disc_or_a_ball_widens_it(dim, scheme, solver):
 
 @pytest.mark.parametrize("velocities", [(2e-3, 0.0), (1e-3, 1e-3)])
 def test_each_piston_on_an_oblique_wall_has_its_own_power(velocities):
-    """A bar at 30 degrees is pulled by both ends or by one end; in the end the force is that of uniaxial
-    strain."""
+    """A bar at 30 degrees is pulled at both ends or at one end; at the end of the run the force is that of
+    uniaxial strain."""
     bar = WorkPlane().Rectangle(1, 0.7).Face()
     for edge in bar.edges:
         edge.name = {0.0: "left", 1.0: "right"}.get(round(edge.center.x, 6), "side")
@@ -655,8 +659,8 @@ def test_each_piston_on_an_oblique_wall_has_its_own_power(velocities):
 
 @pytest.mark.parametrize(("m", "solver"), [by_ci(1, "split"), (1, "coupled"), by_ci(2, "split")])
 def test_inflow_does_not_extrapolate_the_slope_of_the_density(m, solver):
-    """Matter of density 1 to 1.3 flows through the box twelve times; the density stays in this range, and
-    becomes steady."""
+    """The density is 1 to 1.3 at the start. Matter then flows through the box twelve times; the density stays
+    in this range and becomes steady."""
     walls = {("left", "right"): nv.Inflow(velocity=(1.0, 0.0))}
     initial = nv.Initial(density=1 + 0.3 * x, velocity=(1.0, 0.0))
     orders = nv.Discretisation(m=m)

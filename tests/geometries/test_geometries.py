@@ -107,8 +107,8 @@ def test_refinement_is_local():
     ids=["2D", "3D"],
 )
 def test_boundary_layer_is_bisected_towards_the_wall(make, wall):
-    """Each bisection halves the height of the cells at the wall, and makes fewer cells than halving all of
-    them."""
+    """Each bisection halves the height of the cells at the wall, with fewer new cells than a bisection of all
+    cells."""
 
     def height(mesh):
         """Mean height over the wall of the cells that have a facet on it."""
