@@ -1,4 +1,4 @@
-"""The package as rooms: statements of each folder's README, and imports of its files.
+"""The package as rooms: the statements in each folder's README, and the imports of the files in the folder.
 
 ``python tests/rooms.py`` updates the READMEs' lists of files when files are added, moved or removed. A new
 file gets the first line of its docstring; a file is listed after the files that it imports. The program

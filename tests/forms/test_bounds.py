@@ -28,8 +28,7 @@ BY_ALL = nv.CustomMaterial(
         3 * (J - 1) * (J - 1) + 3 * (A - 1) * (A - 1) + square(F) + square(H) + 0.5 * square(H) * square(H)
     ),
 )
-"""Materials whose variables also contain Cof F or 1/J, with energies that are convex and finite for all
-values."""
+"""An energy of F, Cof F, J and 1/J that is convex and finite for all values."""
 
 MESHES = {
     "triangles": lambda: box((1, 1), 0.4),
@@ -242,7 +241,7 @@ BELOW_CUT_OFF = nv.Regularisation(rho_max=2.2, width=0.3)
 
 
 def test_limiter_keeps_a_cut_off_s_bound_and_every_mean():
-    """The limiter restores rho <= rho_max + width in cells that satisfied this bound before the step."""
+    """The limiter keeps rho <= rho_max + width in a run whose start satisfies this bound."""
     step = step_of(regularisation=BELOW_CUT_OFF)
     bounds = bounds_of(step)
     shaken(step, size=1.0)

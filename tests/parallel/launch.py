@@ -19,7 +19,8 @@ MPIRUN = shutil.which("mpirun", path=FOLDERS)
 
 @cache
 def has_petsc() -> bool:
-    """Whether distributed runs can be started here; an error if not, where they are required, as in CI."""
+    """Return whether distributed runs can be started; where CI requires them, raise an error if they
+    cannot."""
     found = MPIRUN is not None and run("-c", "import ngsolve, mpi4py.MPI, petsc4py.PETSc").returncode == 0
     assert found or "NGVISCO_REQUIRE_PETSC" not in os.environ, "no mpirun, mpi4py or petsc4py"
     return found
@@ -32,7 +33,7 @@ def run(*words: str | Path, ranks: int = 1, timeout: float = 900) -> subprocess.
 
 
 def launched(words: list[str], timeout: float = 900) -> subprocess.CompletedProcess[str]:
-    """Run mpirun with the words if they begin with an option of it, else the words themselves."""
+    """Run the words as a command; words that begin with an option are arguments of mpirun."""
     allowed = ("OMPI_ALLOW_RUN_AS_ROOT", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM")
     environment = os.environ | dict.fromkeys(allowed, "1")
     environment |= {"PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1", "NGS_NUM_THREADS": "1"}

@@ -1,7 +1,7 @@
-"""Computes results that must not depend on the rank that is late; the first rank prints them as JSON.
+"""Computes results that must not depend on which rank is late; the first rank prints the results as JSON.
 
-``test_order_of_sums`` runs this script. Ranks are late, one after another, in all sums of NGSolve over ranks,
-and in sums of the package.
+``test_order_of_sums`` runs this script. In each run another rank is late, in all sums over ranks of NGSolve
+and of the package.
 """
 
 import hashlib

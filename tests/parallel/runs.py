@@ -75,7 +75,8 @@ def regularised(
 
 
 def crowded(solver: str) -> nv.Simulation:
-    """A jump of the density, up to 1.247 at the start, whose fifth step is limited to the cut-off's 1.25."""
+    """A density that jumps to 1.247 at the start; in the fifth step it is limited to the cut-off's bound
+    1.25."""
     law = nv.Regularisation(delta_density=1e-4, delta_fields=1e-4, rho_max=1.0, width=0.25)
     return regularised(solver, 2, law, 0.25, density=1 + 0.158 * IfPos(x - 0.5, 1, 0))
 
@@ -180,8 +181,8 @@ def bodies(solver: str, maxh: float = 0.4) -> nv.Simulation:
 
 
 def apart(solver: str, dim: int = 2, outlines: bool = False) -> nv.Simulation:
-    """Bodies that are separated after each step by planes or ``outlines``, two of which meet in a fluid, with
-    films of it in their cells; periodic in the plane."""
+    """Sharp bodies, separated by planes or by ``outlines``. Two bodies meet in a fluid, with films of fluid
+    in shared cells; periodic in the plane."""
     laws = {"viscosity": VISCOSITY, "density": 1.0}
     solid = nv.ReferentialNeoHookean(K_e=8.0, G_e=2.0)
     centre = (0.5, 0.55, 0.5)[:dim]
@@ -324,7 +325,7 @@ def observed(dim: int) -> nv.Simulation:
 
 
 def at_rest(dim: int = 2, as_bodies: bool = False, periodic: str = "", **datum) -> nv.Simulation:
-    """A body, or two, that starts with the pressure of its weight; with a table of it."""
+    """One or two bodies that start with the pressure of their weight, and a table of the pressure."""
     rock = nv.ReferentialNeoHookean(K_e=50.0, G_e=15.0)
     loads, up = [gravity(dim)], y if dim == 2 else z
     model, density = nv.Model(material=rock, viscosity=VISCOSITY, loads=loads), {"density": 3 - 2 * up}
@@ -361,7 +362,7 @@ def yosida(solver: str) -> nv.Simulation:
 
 
 def carried(dim: int) -> nv.Simulation:
-    """A run with a table of passive fields of all kinds that a block without creep has."""
+    """A block without creep, with a table of its passive fields of all kinds."""
     names = [name for name in NAMES if dim == 2 or name != "creep_strain"]
     run = creep(passive=names) if dim == 2 else block(passive=names)
     run.observers = [nv.Probes({"p": (0.3,) * dim}, fields=names)]

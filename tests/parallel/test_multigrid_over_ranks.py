@@ -1,4 +1,4 @@
-"""PETSc's multigrid: the data that it needs, runs without it, and memory that it returns."""
+"""PETSc's multigrid: the rigid motions that it needs, matrices that it does not take, and released memory."""
 
 from functools import cache
 from pathlib import Path

@@ -118,7 +118,7 @@ ACTS = {
     **dict.fromkeys(("apart", "split apart", "split apart in space", "split outlined"), "dissipation_creep"),
     "cut-off, 3D, split": "cutoff_volume",
 }
-"""Column of the last row that shows the mechanism of a case."""
+"""For each case, the column whose last row shows that its mechanism acts."""
 
 
 def assert_same_ledger(one, several, spare=0):
@@ -220,8 +220,8 @@ def test_a_start_at_rest_over_ranks_equals_that_of_one_process(names, ranks):
 @pytest.mark.long
 @pytest.mark.ci
 def test_small_systems_run_over_ranks(monkeypatch):
-    """The systems of the flow, of diffusing fields and of the density are distributed; otherwise, one rank
-    has all rows."""
+    """The linear systems of the flow, of diffusing fields and of the density are distributed by an option. By
+    default one rank has all rows of such small systems."""
     name = "split, all regularisations"
     one = found(1, name)[name]
     monkeypatch.setenv("PETSC_OPTIONS", "-ngvisco_on_one_rank_up_to 0")
@@ -323,7 +323,8 @@ def test_a_run_goes_on_with_any_number_of_ranks(case_file, tmp_path, case):
     ],
 )
 def test_a_run_goes_on_to_the_bit_with_as_many_ranks(case_file, tmp_path, case, ranks):
-    """Ledger, samples and states are equal; no sum is in the order in which messages arrive."""
+    """Ledger, samples and states are equal to the bit, because no sum depends on the order in which messages
+    arrive."""
     case_file.write_text(CASES[case].replace("dt = ", 'scheme = "midpoint"\ndt = '))
     whole, parted, until = tmp_path / "whole", tmp_path / "parted", "time.until=0.02"
     all_of(
@@ -522,8 +523,8 @@ method = "split"
 @pytest.mark.long
 @pytest.mark.ci
 def test_a_failed_run_over_ranks_has_the_message_of_one_process(tmp_path):
-    """The report names the place, the cell and the nearest wall, the warning of corners that walls deform,
-    and its fields."""
+    """The report has the place, the cell, the nearest wall, the warning of deformed corners, and the written
+    fields."""
     case, said, reports = tmp_path / "lid.toml", {}, {}
     case.write_text(LID)
     for ranks in (1, 3):
@@ -632,8 +633,8 @@ FAULTS = {
 @pytest.mark.long
 @pytest.mark.ci
 def test_an_error_on_one_rank_is_raised_on_all_ranks(tmp_path):
-    """The disk is full or a matrix singular on one rank, or all ranks refuse a step; a warning appears
-    once."""
+    """One rank has a full disk or a singular matrix, or all ranks refuse a step. Every rank raises the error,
+    and a warning appears once."""
     (tmp_path / "failing.py").write_text(FAILING)
     result = run(tmp_path / "failing.py", *FAULTS, ranks=3)
     assert result.returncode == 0, result.stderr

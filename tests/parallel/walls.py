@@ -1,4 +1,4 @@
-"""Small cases with walls that are not normal to an axis: oblique, curved, and partly moving walls."""
+"""Small cases with oblique and curved walls, some of which move."""
 
 import numpy as np
 from netgen.occ import Axis, Box, OCCGeometry, Pnt, WorkPlane, X, Z
@@ -66,7 +66,7 @@ def quadrilateral(solver: str, k: int = 2) -> nv.Simulation:
 
 
 def _corner(i: int) -> tuple[float, float]:
-    """The corner of side i and the next one, each with n . x = 1/2."""
+    """The corner between side i and the next side; each side is the line n . x = 1/2."""
     (a, b), (c, d) = _NORMALS[i], _NORMALS[(i + 1) % 4]
     return (d - b) / (2 * (a * d - b * c)), (a - c) / (2 * (a * d - b * c))
 

@@ -1,4 +1,4 @@
-"""The least eigenvalue of many tensors: a closed form chooses tensors, and a decomposition has the value."""
+"""The least eigenvalue of many tensors: a closed form selects a few tensors, which are decomposed."""
 
 import numpy as np
 import pytest

@@ -34,7 +34,7 @@ FINITE = {name: m for name, m in ALL.items() if name not in STRAIN}
 
 
 def at_point(f):
-    """A coefficient function without x in it, as an array."""
+    """The values of a coefficient function that does not depend on x, as an array."""
     return np.array(f(MESH(0.3, 0.3))).reshape(f.dims or ())
 
 
@@ -245,7 +245,8 @@ def test_energies_are_the_closed_forms_of_the_isochoric_invariants():
 
 
 STRETCHES = (0.4, 0.9, 1.0, 1.3, 3.0, 7.0)
-"""Stretches, of which 7 in two directions is beyond the range of Ogden's powers, 1/10 to 10."""
+"""Stretches. A stretch of 7 in two directions leaves 1/49 in the third one, beyond the range of Ogden's
+powers, 1/10 to 10."""
 TRELOAR = {1.3: 0.63, 5.0: 0.0012, -2.0: -0.01}
 """mu_p, MPa, by alpha_p: Ogden's (1972) for the rubber of Treloar (1944)."""
 
@@ -265,8 +266,8 @@ def stress_of(kind, T):
 
 @pytest.mark.parametrize("kind", ["uniaxial", "equibiaxial", "shear"])
 def test_ogden_stress_is_the_closed_form(kind):
-    """sigma_1 - sigma_3 = sum mu (l_1^a - l_3^a) (Ogden 1972); in shear it is multiplied by sin 2theta/2 =
-    1/(l + 1/l)."""
+    """sigma_1 - sigma_3 = sum mu (l_1^a - l_3^a) (Ogden 1972); in shear, T_12 is this difference times sin(2
+    theta)/2 = 1/(l + 1/l)."""
     material = nv.Ogden(K_e=1e3, mu=tuple(TRELOAR.values()), alpha=tuple(TRELOAR))
     for stretch in STRETCHES[: 5 if kind == "equibiaxial" else 6]:
         F, (along, across) = homogeneous(kind, stretch)
@@ -294,8 +295,8 @@ def test_gent_stress_is_the_closed_form(kind, elastic_state):
 
 
 def test_ogden_is_mooney_rivlin_where_its_exponents_are_two(rng):
-    """With |F_iso|^2 and |Cof F_iso|^2, mu_1 = 2 C_10 and mu_2 = -2 C_01; a change of volume does not
-    matter."""
+    """Ogden's energy with mu_1 = 2 C_10 and mu_2 = -2 C_01 equals C_10 |F_iso|^2 + C_01 |Cof F_iso|^2, also
+    with a change of volume."""
     F = np.eye(3) + 0.3 * rng.uniform(-1, 1, (3, 3))
     J = np.linalg.det(F)
     iso = F / J ** (1 / 3)

@@ -1,4 +1,4 @@
-"""Parameters that travel with the matter: their expressions, and operations that treat strains alone."""
+"""Parameters carried with the matter: their expressions, and operations that concern strains alone."""
 
 import operator
 from functools import partial
@@ -52,7 +52,8 @@ def custom(energy=None):
 
 
 def test_two_parameters_of_one_name_are_refused_in_any_place():
-    """A material's own variables count too; the same parameter may appear in many places."""
+    """A parameter must not have the name of a variable of the material either. One parameter may appear in
+    many places."""
     one, five = nv.Parameter("chi", start=1 + x), nv.Parameter("chi", start=5 + x)
 
     def material(parameter):
@@ -84,8 +85,8 @@ def test_two_parameters_of_one_name_are_refused_in_any_place():
 
 @pytest.mark.parametrize("name", ["disc", "G", "G_e"])
 def test_a_body_s_own_parameters_have_its_name_once(name):
-    """The name of a modulus may begin like that of the body, and a model may be made of another model's
-    bodies."""
+    """Names get the prefix of the body once, also if the modulus has a name with the same beginning, or if a
+    second model is made of the bodies."""
     material = nv.ReferentialNeoHookean(K_e=1.0, G_e=1 + x)
     body = nv.Body(name=name, where=0.5 - x, material=material, density=1.0)
     rest = nv.Body(name="rest", material=material, density=1.0)

@@ -1,4 +1,4 @@
-"""Programs of array operations: the same bits as their functions, and what cannot be recorded."""
+"""Programs of array operations: the same bits as their functions; functions that cannot be recorded."""
 
 import numpy as np
 import pytest

@@ -93,7 +93,7 @@ HAVE_AN_EXPRESSION = ("no expansion", "one thermal pressure")
 
 
 def some(*always):
-    """All pairs; the default suite always tries the given ones."""
+    """All pairs; the default suite tries at least the given pairs."""
     return [pytest.param(pair, marks=() if pair in always else LONG) for pair in PAIRS]
 
 
@@ -130,8 +130,8 @@ def internal(given, S, J):
 
 @pytest.mark.parametrize("pair", some("gas and solid"))
 def test_bodies_share_volume_and_entropy_so_that_the_energy_is_least(pair):
-    """The comparison minimises an energy without pressure and temperature. Both follow from differences of
-    the minimum."""
+    """For comparison, the energy is minimised over volumes and entropies. Differences of the minimum give
+    pressure and temperature."""
     material, (one, other) = mixture(pair), PAIRS[pair]
     slices, respond_to = material.states(2).slices, respond(material, 2)
 

@@ -50,7 +50,7 @@ def integrate(rate, start: np.ndarray) -> np.ndarray:
 
 
 def distortion(L: np.ndarray, Pi: np.ndarray, F_0: np.ndarray, spatial: bool = False) -> np.ndarray:
-    """F at TIME by its own equation dF/dt = L F - F Pi, or (L - Pi) F with a ``spatial`` Pi of any kind."""
+    """F at TIME by the equation dF/dt = L F - F Pi, or dF/dt = (L - Pi) F if ``spatial``."""
 
     def rate(t: float, F: np.ndarray) -> np.ndarray:
         F = F.reshape(3, 3)
@@ -89,8 +89,8 @@ def transported(
     F_0: np.ndarray,
     by: list[Variable] | None = None,
 ) -> np.ndarray:
-    """The variables at TIME by their own rates, or by the rates of ``by``, from the values that belong to
-    F_0."""
+    """The variables at TIME, integrated from their values at F_0 by their own rates, or by the rates of
+    ``by``."""
     start = pack(variables, F_0)
     A, b = linear_rate(by or variables, start.size, L, Pi)
     return integrate(lambda t, z: A @ z + b, start)
@@ -131,7 +131,7 @@ def test_minors_find_every_tensor_that_is_not_positive_definite(eigenvalues: tup
 class PrintedMooneyRivlin(Cofactor):
     """The rate as the paper prints it: (Cof' F)((grad v) H - H Pi) - 7/6 (div v) H.
 
-    With Cof' evaluated at F, i.e. the derivative of Cof at F in the direction (grad v) H - H Pi.
+    Here Cof' F is the derivative of Cof at F, in the direction (grad v) H - H Pi.
     """
 
     F: np.ndarray
@@ -223,8 +223,8 @@ def printed(F: np.ndarray, L: np.ndarray, Pi: np.ndarray) -> np.ndarray:
 
 
 def test_the_printed_cofactor_equation_equals_ours_where_H_is_the_cofactor_of_F() -> None:
-    """Euler-large-viscoelastodyn-H has F^k in the row of H: this is the package's row for H = Cof F, for any
-    L and Pi."""
+    """The equation of H in Euler-large-viscoelastodyn-H contains F^k. For H = Cof F it equals the package's
+    equation, for any L and Pi."""
     rng = np.random.default_rng(3)
     for _ in range(3):
         F, L = np.eye(3) + 0.3 * rng.normal(size=(3, 3)), rng.normal(size=(3, 3))
@@ -236,7 +236,8 @@ def test_the_printed_cofactor_equation_equals_ours_where_H_is_the_cofactor_of_F(
 
 
 def after_one_second(steps: int, L: np.ndarray, with_F: bool) -> np.ndarray:
-    """H by implicit Euler steps of a homogeneous flow, with F^k in its row or with H^k itself."""
+    """H after one second of a homogeneous flow, by implicit Euler steps whose equation of H contains F^k or
+    H^k."""
     tau, F, H = 1 / steps, np.eye(3), np.eye(3)
     for _ in range(steps):
         F = np.linalg.solve(np.eye(3) - tau * L, F)
@@ -248,7 +249,8 @@ def after_one_second(steps: int, L: np.ndarray, with_F: bool) -> np.ndarray:
 
 
 def test_the_printed_cofactor_equation_differs_from_ours_by_the_order_of_the_step() -> None:
-    """Neither H is Cof F^k. Both differ from Cof F^k by similar errors of first order in tau."""
+    """The H of the printed equation and the package's H differ from Cof F^k by similar errors of first order
+    in tau."""
     L = np.array([[0.3, 1.0, 0.2], [-0.4, 0.1, 0.5], [0.2, -0.3, -0.1]])
     exact = cofactor(expm(L))
     size, between, errors = np.linalg.norm(exact), [], []

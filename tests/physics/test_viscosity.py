@@ -1,5 +1,4 @@
-"""Viscosities: one D in three notations, viscosities of the state at a point by the literature, and refused
-ones."""
+"""Viscosities: one D in three notations, state-dependent viscosities, refused viscosities."""
 
 from dataclasses import dataclass
 
@@ -27,7 +26,7 @@ def symmetric():
 
 
 def vector(A, weight):
-    """Six entries of a tensor, those off the diagonal times a weight."""
+    """The six entries of a symmetric tensor; off-diagonal entries are multiplied by a weight."""
     return np.array([A[i, j] * (1.0 if i == j else weight) for i, j in PAIRS])
 
 

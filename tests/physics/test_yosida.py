@@ -118,8 +118,8 @@ def test_singular_energies_become_finite_everywhere(name: str, J: float) -> None
 
 
 def test_a_users_energy_has_a_minimiser_for_a_state_outside_its_domain() -> None:
-    """The energy has log Det F alone, without J: it is no number for det F < 0, and the iteration starts
-    from rest there."""
+    """The energy has log Det F alone, without J: for det F < 0 the energy is not defined, and the iteration
+    starts from rest."""
     material = nv.CustomMaterial(
         transported=(Distortion(),), stored_energy=lambda F: 10 * square(F) - 0.1 * log(Det(F))
     )

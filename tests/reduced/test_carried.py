@@ -1,4 +1,4 @@
-"""Terms that are polynomials have the same rows by a rule of fewer points."""
+"""Terms that are polynomials in a cell have the same rows with fewer quadrature points."""
 
 import numpy as np
 import pytest
@@ -57,7 +57,8 @@ def test_rows_differ_with_fewer_points_than_their_degree_needs(monkeypatch):
 
 
 def test_rows_that_are_no_polynomials_keep_all_points():
-    """Weights of a body of revolution and of curved cells; orders at which a rule has no fewer points."""
+    """Exceptions are bodies of revolution and curved cells, whose weights are no polynomials, and orders
+    whose rule has no fewer points."""
     around = residual(box((1, 1), 0.5), symmetry="axisymmetric")
     for r in (around, residual(disc(1.0, 0.8)), residual(box((1, 1), 0.5), k=1, m=1)):
         kept = {type(term).__name__ for term in r.others}

@@ -9,7 +9,7 @@ C = {"a": np.arange(4.0)}
 
 
 class Function:
-    """A function that reads a number either as a datum or behind the program's back."""
+    """A function that reads a number either as a datum, or directly, which the program does not notice."""
 
     def __init__(self, is_datum):
         self.is_datum, self.number, self.calls = is_datum, np.ones(1), 0

@@ -36,8 +36,8 @@ ALL_IN_SPACE = [
 
 @pytest.mark.parametrize(("name", "m"), ALL_IN_SPACE)
 def test_ledger_closes_and_mass_and_positivity_hold(name, m):
-    """The runs have constants in cells and no hyperviscosity, or all terms; ``test_split_agrees`` has the
-    plane ones."""
+    """Some runs have constants in cells without hyperviscosity, the others all terms; ``test_split_agrees``
+    runs all materials in the plane."""
     run = simulation(EXAMPLES[name], 3, hyper=m > 0, discretisation=nv.Discretisation(m=m))
     ledger = run.run(0.02)
     assert_sound(ledger, EXAMPLES[name])
@@ -67,7 +67,7 @@ FORMS = {
     "neo-Hookean by two H": (EXAMPLES["ReferentialNeoHookean"], EXAMPLES["IsochoricNeoHookean"], 0.4),
     "by F and by B": (*(nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state=s) for s in "FB"), 0.6),
 }
-"""Two materials, and what halving h and tau leaves of their difference."""
+"""Two materials, and the largest ratio of their differences when h and tau are halved."""
 
 
 @pytest.mark.parametrize("name", others_by_ci(FORMS, "fluid by J and by A"))

@@ -23,8 +23,9 @@ def about_the_axis(mesh=0.5, dt=0.02, **options):
 
 @pytest.mark.parametrize(("solver", "elastic_state"), each_once(SOLVERS, ["F", "B"]))
 def test_homogeneous_stretch_equals_that_of_a_material_point(solver, elastic_state):
-    """The walls prescribe v = (a r, b y), which carries the body through the walls. To rounding, F at a
-    point, the density, the viscous power and the stress are those of backward Euler, and F_33 is F_rr."""
+    """The walls prescribe v = (a r, b y), which carries the body through the walls. F, the density, the
+    viscous power and the stress agree to rounding with backward Euler steps of a material point, and F_33 =
+    F_rr."""
     a, b, dt, steps, K_v, G_v = 0.5, -0.4, 0.1, 3, 0.3, 0.2
     flow = (a * x, b * y)
     run = about_the_axis(
@@ -115,7 +116,7 @@ def test_flow_in_a_pipe_is_poiseuilles(solver):
 
 
 def ring(inner: float, cells: int) -> Mesh:
-    """The section of a hollow cylinder from ``inner`` to 1 m, a cell high."""
+    """The section of a hollow cylinder between the radii ``inner`` and 1 m, one cell high."""
     return MakeStructured2DMesh(
         quads=False, nx=cells, ny=1, mapping=lambda r, h: (inner + (1 - inner) * r, h / cells)
     )

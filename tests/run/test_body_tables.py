@@ -1,4 +1,4 @@
-"""Measures and pictures of bodies: sums are the ledger's, and tables go on without a seam."""
+"""Measures and pictures of bodies: sums equal the ledger, and resumed tables equal uninterrupted ones."""
 
 import csv
 import json
@@ -168,15 +168,16 @@ def test_surfaces_are_drawn_in_pictures_and_scenes(whole, tmp_path):
 
 
 def test_a_passive_field_is_no_body():
-    """A passive field may have a name like a fraction of a body; fractions stand before the field
-    ``body``."""
+    """A passive field may have a name like a body's fraction. In lists of fields, fractions stand before the
+    field ``body``."""
     passive, of_bodies = ["density", "dye_fraction", "pressure"], ["fluid_fraction", "disc_fraction", "body"]
     assert outlined([*passive, *of_bodies, "salt_fraction"]) == ["fluid_fraction"]
     assert outlined(passive) == []
 
 
 def test_tractions_in_a_periodic_strip_are_the_same_on_one_cell_and_on_two():
-    """Each cell of the narrow strip meets its own image: all lengths of a strip have one force."""
+    """Each cell of the narrow strip meets its own periodic image. The force does not depend on the length of
+    the strip."""
     forces = []
     for cells in (1, 2):
         light, heavy = (nv.IsochoricNeoHookean(K_e=10.0, G_e=G_e) for G_e in (1.0, 2.0))

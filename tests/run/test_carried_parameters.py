@@ -123,13 +123,14 @@ def test_a_heterogeneous_body_in_uniform_flow_keeps_its_stress():
 
 
 SOFT, UPPER = 1.0, IfPos(y - 0.5, 1.0, 0.0)
-"""Creep modulus of the lower half, Pa s, and 1 Pa s in the upper half; the face between them is a row of
-cells' sides."""
+"""Creep modulus of the lower half, Pa s, and the indicator of the upper half; the face between both consists
+of sides of cells."""
 
 
 def sagging(stiff, force=1e-4):
-    """Stresses over the load of a box whose lower half creeps and whose upper half is ``stiff``, Pa s, after
-    two Maxwell times of the lower one; the load moves the face between them by 1e-5 of a cell and more."""
+    """Stresses over the load, in a box whose lower half creeps and whose upper half has the creep modulus
+    ``stiff``, Pa s, after two Maxwell times of the lower half. The load moves the face between both halves by
+    at least 1e-5 of a cell."""
     model = nv.Model(
         material=nv.LinearElastic(K_e=2.0, G_e=0.5),
         viscosity=nv.StokesViscosity(K_v=1e-3, G_v=1e-3),
@@ -145,8 +146,8 @@ def sagging(stiff, force=1e-4):
 
 
 def test_traces_of_a_stiff_material_do_not_change_the_stress():
-    """With 1e4, 1e6 and 1e11 times the modulus the upper half is elastic on this time scale; a run in which
-    nothing moves into other cells gives the right stresses."""
+    """The upper half is elastic on this time scale, with 1e4, 1e6 and 1e11 times the creep modulus. The right
+    stresses come from a run in which nothing moves into other cells."""
     right = sagging(1e4, force=1e-10)
     assert np.abs(right).max() > 0.05
     for stiff in (1e4, 1e6, 1e11):

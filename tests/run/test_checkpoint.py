@@ -1,4 +1,4 @@
-"""A restarted run is the uninterrupted one; checkpoints that do not fit are refused; meshes in files."""
+"""A resumed run equals the uninterrupted one; checkpoints of other runs are refused; meshes in files."""
 
 import h5py
 import numpy as np
@@ -37,7 +37,8 @@ SOLID = nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0)
 
 @pytest.mark.parametrize("solver", ["split", "coupled"])
 def test_a_run_goes_on_with_another_flow_rule(tmp_path, solver):
-    """Linear creep has no linearisation stresses, and yield has them."""
+    """The checkpoint of linear creep has no linearisation stresses, which the flow rule with a yield stress
+    needs."""
     simulation([nv.Checkpoints(tmp_path / "run.h5", every=1)], SOLID, solver=solver).run(0.04)
     rest = simulation(material=SOLID, creep=nv.Perzyna(sigma_Y=0.05, G_m=0.1), solver=solver)
     rest.restore(tmp_path / "run.h5")
@@ -115,7 +116,8 @@ def test_a_checkpoint_identifies_an_energy_by_its_values_not_by_its_name(tmp_pat
 @pytest.mark.ci
 @pytest.mark.parametrize("solver", ["coupled", "split"])
 def test_bodies_with_heat_go_on_bitwise_and_their_heat_identifies_the_run(tmp_path, solver):
-    """With two thermal pressures every evaluation searches anew for the equilibrium at a point."""
+    """Two bodies have thermal pressures, so that each evaluation searches for their equilibrium at each
+    point."""
     SetNumThreads(1)
 
     def bodies(conductivity=0.1, **options):

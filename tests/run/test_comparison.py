@@ -1,4 +1,4 @@
-"""Pictures of several runs: quantities that all runs measure, each in its own axis."""
+"""Pictures of several runs: each quantity that all runs have has its own axis."""
 
 import numpy as np
 import pytest

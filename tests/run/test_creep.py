@@ -147,14 +147,12 @@ STIFF = [
 
 @pytest.mark.parametrize(("start", "name", "G_m", "dt", "steps"), STIFF)
 def test_stiff_relaxation_goes_on_while_the_body_moves(start, name, G_m, dt, steps):
-    """With 2 to 1e5 Maxwell times G_m/(2 G_e) in a step the step is solved, the energy falls, and the root
-    is the physical one.
-
-    The equations have other roots. At a fixed shape and a = 2 G_e tau/G_m >> 1, roots H of size a^(-1/3) have
-    two negative stretches and a positive determinant, as the physical root has. At the physical root |z| is
-    that of a relaxed state, F = J^(1/3) Q (within 7 % after a step of 1 s from 30 %). A swirl with steps of 1
-    s turns by half a circle in a step, which reduces z, stiff or not. On six cells det F and J then differ by
-    up to 50 % and more, where 10 % is the default bound.
+    """A step lasts 2 to 1e5 Maxwell times G_m/(2 G_e). The step is solved, the energy falls, and the solution
+    is the physical root of the equations, which have other roots too. At a fixed shape and a = 2 G_e tau/G_m
+    >> 1, roots H of size a^(-1/3) have two negative stretches and a positive determinant, as the physical
+    root has. At the physical root |z| is that of a relaxed state, F = J^(1/3) Q (within 7 % after a step of 1
+    s from 30 %). A swirl turns by half a circle in a step of 1 s, which reduces |z| also without stiff creep.
+    On six cells det F and J then differ by 50 % and more; the default bound is 10 %.
     """
     options = {"time": nv.TimeSteps(dt=dt, drift=1.0)} if start is swirl and dt == 1.0 else {}
     run = start(nv.Creep(G_m=G_m), dt=dt, material=BY_NAME[name], **options)

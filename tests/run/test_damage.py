@@ -27,7 +27,8 @@ def swirl(material, dim=2, seed=SEED, **options):
 
 
 def assert_signs(run, until=0.04, is_euler=True):
-    """The ledger closes; every entry has its sign in every step; damage is within [0, 1] to its slack."""
+    """Assert that the ledger closes, that every entry has its sign in every step, and that damage is within
+    [0, 1] up to its slack."""
     ledger = run.run(until)
     assert abs(ledger.column("closure_relative")).max() < 1e-11
     names = ["dissipation_damage", "bregman_damage", *(["bregman"] if is_euler else [])]
@@ -87,8 +88,8 @@ def sheared(kind, part="tensile", G_c=0.1, **options):
 
 @pytest.mark.parametrize(("kind", "part"), [("AT1", "tensile"), ("AT2", "all")])
 def test_homogeneous_bar_follows_its_exact_curve(kind, part):
-    """The bar follows the curve to rounding, at every step, below the threshold of AT1 and above it; the
-    damage has no gradient."""
+    """The damage is homogeneous. The bar follows the exact curve to rounding at every step, below the
+    threshold of AT1 and above it."""
     run = sheared(kind, part)
     for _ in range(4):
         row = run.advance()
@@ -103,10 +104,10 @@ G, G_C, LENGTH = 5.0, 0.02, 0.1
 
 
 def band(law, n):
-    """Cost over G_c, the integral of d over l, and largest stress, Pa, of a strip that is sheared and breaks.
-
-    n rows of cells, of 1 m in all.  The shear gamma of the rows has a given mean, and the same stress in all
-    rows. Shear and damage, which may heal at once, are computed in turn until nothing changes.
+    """The cost over G_c, the integral of d over l, and the largest stress, Pa, of a strip of n rows of cells
+    and 1 m height that is sheared and breaks.  The shear gamma of the rows has a given mean, and the stress
+    is the same in all rows. Shear and damage are computed in turn until nothing changes; damage may heal
+    without delay.
     """
     mesh = structured_box((1 / n, 1.0), (1, n), periodic="x")
     rubber = nv.ReferentialNeoHookean(K_e=20.0, G_e=G, elastic_state="F")
@@ -153,8 +154,8 @@ def test_strip_localises_to_a_band_of_the_width_of_its_length(law, of_row, width
 
 
 def test_damage_stays_or_heals_at_its_rate():
-    """At rest and undegraded, w'(d) pulls d down where d may heal, d' = -G_c d/(l eta) (AT2); elsewhere d
-    stays."""
+    """The body is at rest without elastic energy. If d may heal, w'(d) lowers d by d' = -G_c d/(l eta) (AT2);
+    otherwise d stays."""
     for healing in (None, 2.0):
         law = damaged(length=1.0, healing_viscosity=healing)
         model = nv.Model(material=law)
@@ -189,7 +190,7 @@ def across(X):
 
 
 def left_of_a_crack(area, stretch):
-    """(1 + 1/stretch^2)/2 for an actual area, 1 for a reference one."""
+    """The remaining share of a crack's energy: (1 + 1/stretch^2)/2 per actual area, 1 per reference area."""
     return (1 + stretch**-2) / 2 if area == "actual" else 1.0
 
 
@@ -200,7 +201,8 @@ def left_of_a_crack(area, stretch):
 )
 def test_a_body_that_starts_stretched_has_the_crack_energy_of_its_reference(stretched, area):
     stretch, shear = stretched
-    """d of X = (x - shear y)/stretch, F = ((stretch, shear), (0, 1)), whose transpose is seen."""
+    """Damage d of X = (x - shear y)/stretch for F = ((stretch, shear), (0, 1)). F is not symmetric, so that
+    its transpose would give another result."""
     mesh = structured_box((3.0, 0.2), (60, 2))
     law = damaged(law="AT1", G_c=1.0, length=CROSS, area=area, viscosity=1e6)
     F = CF((stretch, shear, 0, 0, 1, 0, 0, 0, 1), dims=(3, 3))

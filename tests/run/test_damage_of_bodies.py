@@ -1,5 +1,4 @@
-"""Bodies that break: signs and closure of both halves of a step, no leak into other bodies, restart,
-refusals."""
+"""Bodies that break: signs and closure of both halves of a step, other bodies, restart, refusals."""
 
 import numpy as np
 import pytest
@@ -102,7 +101,7 @@ def states(material, count=40, seed=1):
 
 @pytest.fixture(scope="module")
 def mixture():
-    """A mixture with a much softer fluid, in which cells are not in equilibrium at one volume."""
+    """A mixture with a much softer fluid. Bodies of one volume ratio would not be in equilibrium."""
     return nv.Model(bodies=bodies(beside=fluid(2.0))).material
 
 
@@ -144,7 +143,8 @@ def test_slopes_of_damaged_bodies_equal_differences_of_the_energy(mixture):
 
 
 def test_damage_of_one_body_changes_nothing_where_it_is_absent(mixture):
-    """Only the energy of cracks changes, in the trace of matter that stands for an absent body."""
+    """An absent body is represented by a trace of matter. Its damage changes only the energy of cracks in
+    this trace."""
     space, respond = mixture.states(2), mixture.response(2)
     alone = np.zeros((2, space.size))
     alone[:, space.slices["n_rest"]] = 1.1

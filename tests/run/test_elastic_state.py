@@ -1,5 +1,4 @@
-"""The elastic state by F and by B = F F^T: both are the same material unless F winds up; the losses of
-each."""
+"""The elastic states F and B = F F^T: the same material unless F winds up, with different losses."""
 
 import math
 from dataclasses import replace
@@ -160,7 +159,8 @@ def test_B_stores_what_F_dissipates_in_the_step():
 
 
 def under_a_lid(state):
-    """Ten Maxwell times of the creeping body of the verification's ``winding-lid``, on a coarse mesh."""
+    """Run the creeping body of the verification case ``winding-lid`` for ten Maxwell times on a coarse
+    mesh."""
     of = nv.ReferentialNeoHookean(K_e=20.0, G_e=0.05, elastic_state=state)
     return lid(of, 0.3, 0.05, creep=nv.Creep(G_m=0.005))
 
@@ -189,7 +189,7 @@ def test_run_that_winds_up_warns_once_and_ends_by_name_with_the_remedy():
 
 
 def in_a_closed_box(state, m=0, speed=0.1, **options):
-    """A longitudinal wave in a box with m = 0, where no variable feels a part of the motion."""
+    """A longitudinal wave in a box with m = 0, where a part of the motion is unfelt."""
     material = nv.ReferentialNeoHookean(K_e=10.0, G_e=2.0, elastic_state=state)
     model = nv.Model(material=material, viscosity=nv.StokesViscosity(K_v=0.0, G_v=1e-9))
     start = nv.Initial(density=1.0, velocity=(speed * sin(pi * x / 4), 0))
@@ -261,12 +261,12 @@ TWO = (
     ([[C, S, 0], [-S, C, 0], [0, 0, 1]], [[C, -S, 0], [S, C, 0], [0, 0, 1]]),
     ([[2, 0, 0], [0, 0.5, 0], [0, 0, 1]], [[0.5, 0, 0], [0, 2, 0], [0, 0, 1]]),
 )
-"""Pairs of distortions of determinant one: two that have turned, two that are stretched."""
+"""Two pairs of distortions of determinant one: two rotations, and two stretches."""
 
 
 def test_averaging_rotations_lowers_det_F_and_never_det_B():
-    """Means of two rotations free rest energy by F and never by B, and only the loss by F counts as
-    drift."""
+    """The mean of two rotations has a smaller det F, which releases energy at rest. The mean of B keeps det
+    B. Only the loss by F counts as drift."""
     for sign, (one, other) in zip((-1, 1), TWO, strict=True):
         a, b = np.array(one), np.array(other)
         F, B = 0.5 * (a + b), 0.5 * (a @ a.T + b @ b.T)

@@ -52,7 +52,7 @@ class Relaxation(PointTerm):
 
 
 class Pores(Relaxation):
-    """A pore pressure that seeps, drives the flow, and is changed by the flow."""
+    """A pore pressure that diffuses and is coupled to the flow in both directions."""
 
     def cells(self, u, w):
         p, q, dp, dq = u.parts["theta"], w.parts["theta"], u.gradient("theta"), w.gradient("theta")
@@ -66,8 +66,8 @@ class Pores(Relaxation):
 
 
 class Swelling(Pores):
-    """The volume of a cell grows with the mean of old and new pressure: the rows of z read another evolving
-    unknown."""
+    """Matter swells with the mean of old and new pore pressure, so that the equations of z read another
+    evolving unknown."""
 
     def _growth(self, u):
         return 0.05 * (u.parts["theta"] + u.context.old.parts["theta"])
@@ -126,8 +126,8 @@ def test_solvers_agree_and_the_ledger_closes_where_an_evolving_unknown_drives_th
 
 
 def test_the_error_estimate_counts_evolving_unknowns():
-    """In a body at rest nothing else changes: the estimate is a third of theta_2 - 2 theta_1 + theta_0, over
-    theta_2."""
+    """The body is at rest, so that only theta changes. The estimate is (theta_2 - 2 theta_1 + theta_0)/3,
+    relative to theta_2."""
     model = nv.Model(material=MODEL.material)
     steps = nv.AdaptiveSteps(dt_min=0.05, dt_max=0.05, tolerance=0.5)
     term = Relaxation()
@@ -203,14 +203,14 @@ class Half(PointTerm):
 
 
 class Misnamed(Relaxation):
-    """A term with its energy in a column of its own, which no balance contains."""
+    """A term whose energy is in a separate column that the balance does not contain."""
 
     def energy(self, u):
         return Entry("heat", "energy", Integrand(square(u.parts["theta"])))
 
 
 class ByVelocity(Relaxation):
-    """A term whose slope asks for a change of v, although momentum is kept."""
+    """A term whose slope has a part by v, which the conservation of momentum excludes."""
 
     def slope(self, b, d):
         return Integrand(inner(b.v, d.v))

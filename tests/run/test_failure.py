@@ -50,7 +50,7 @@ def test_a_refused_solution_is_reported_with_place_quantity_history_and_advice(f
 
 @pytest.mark.parametrize("stiffness", [0.0, 1e10])
 def test_rounding_is_reported_where_only_inertia_holds_a_stiff_body(stiffness):
-    """Steps are long beside the passage of waves; weak springs hold the body."""
+    """Steps are long compared with the passage of waves. In one of the runs weak springs hold the body."""
     pressures = {"left": 1e6 * nv.time, "right": 1e6 * nv.time, "top": 0.0, "bottom": 0.0}
     springs = (stiffness, stiffness)
     run = nv.Simulation(
@@ -88,7 +88,7 @@ def relaxing(heat_capacity, theta_R=293.0):
 
 
 def test_a_strip_with_heat_and_hardly_any_inertia_relaxes():
-    """The rounding of heat moves the strip by more than the tolerance, as the velocity goes to zero, but by
+    """As the velocity goes to zero, rounding of the heat moves the strip by more than the tolerance, but by
     less than 1e-10 of a cell in a step."""
     run = relaxing(1e3)
     run.run(0.1)
@@ -99,7 +99,8 @@ def test_a_strip_with_heat_and_hardly_any_inertia_relaxes():
 
 
 def test_rounding_of_large_entropies_is_named_with_its_remedies():
-    """A large heat capacity leaves more rounding; with the reference at the start's temperature none."""
+    """A large heat capacity causes rounding of the entropy. With the start's temperature as reference
+    temperature there is none."""
     with pytest.raises(nv.StepError, match="shorter steps have a larger rounding error") as caught:
         relaxing(1e7).run(0.1)
     text = str(caught.value.report)
@@ -108,7 +109,7 @@ def test_rounding_of_large_entropies_is_named_with_its_remedies():
 
 
 def test_attempts_from_the_same_start_are_reported_in_one_line():
-    """The report of a step that was tried in many parts fits one screen."""
+    """The report of a step with many attempts fits on one screen."""
     stalled = Solution(Status.STALLED, (NewtonIteration(3.0, 1.0, 1.0, True),) * 9, "as it was said")
     solved = Solution(Status.CONVERGED, (NewtonIteration(1e-12, 0.1, 1.0, True),))
     attempts = [Attempt("from the last state", one) for one in [stalled, solved] * 15]

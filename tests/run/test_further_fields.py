@@ -1,4 +1,4 @@
-"""Stresses, rates and stretches that are written by name agree with closed forms and the ledger."""
+"""Stresses, rates and stretches that are written on request agree with closed forms and the ledger."""
 
 import numpy as np
 import pytest

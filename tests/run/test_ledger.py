@@ -172,7 +172,7 @@ def test_ledger_closes_to_rounding(material: str) -> None:
     [(0.5, "linear"), (5.0, "linear"), (0.5, "neo_hookean"), by_ci(5.0, "neo_hookean")],
 )
 def test_energy_never_rises_without_load(material: str, tau: float) -> None:
-    """The step may have any length (the paper's unconditional stability)."""
+    """The energy falls for any length of the step (the paper's unconditional stability)."""
     ledger = run_of(material, tau, is_loaded=False).run(until=3 * tau)
     assert np.all(np.diff(ledger.column("kinetic") + ledger.column("stored")) < 0)
     assert_balanced(ledger, 1e-12, 1e-13)
@@ -206,7 +206,7 @@ BROKEN = {
 
 @pytest.mark.parametrize("name", BROKEN)
 def test_a_wrong_entry_opens_the_ledger(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A negative control: the closure is rounding only with each entry and its factor."""
+    """A negative control: the ledger closes to rounding only if every entry has the right factor."""
     term, factor = BROKEN[name]
     method = "distance" if name in NUMERICAL else "entries"
     monkeypatch.setattr(term, method, scaled(getattr(term, method), name, factor))
@@ -234,8 +234,8 @@ def test_steps_that_do_not_close_are_counted_in_one_warning(monkeypatch: pytest.
 def test_each_part_of_a_resumed_run_closes_by_its_own_tolerance(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A warning names an open step also after a resume, but not a step that closes by its own, larger
-    tolerance."""
+    """After a resume, the warning still names a step that did not close. It does not name a step that closes
+    by the larger tolerance of its own part."""
     monkeypatch.setattr(Inertia, "distance", scaled(Inertia.distance, "inertial", 1.01))
     path = tmp_path / "run.h5"
 

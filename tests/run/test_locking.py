@@ -1,4 +1,4 @@
-"""Cells of order one bear flow at constant volume, if they are crossed rectangles."""
+"""Cells of order one (m = 1) do not lock at constant volume if the mesh consists of crossed rectangles."""
 
 import pytest
 
@@ -11,8 +11,8 @@ from ngvisco.physics.variables import Jacobian
 @pytest.mark.ci
 @pytest.mark.parametrize(("crossed", "least", "most"), [(True, 0.029, 0.041), (False, 0.0, 0.012)])
 def test_a_disc_sinks_with_cells_of_order_one_if_they_are_crossed(crossed, least, most):
-    """With k = 3 the disc sinks by 0.038 m; rectangles with one diagonal lock, and the disc does not
-    move."""
+    """With k = 3 the disc sinks by 0.038 m. On rectangles with one diagonal the cells lock, and the disc does
+    not move."""
     fluid = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 10 * (J - 1) * (J - 1) / J)
     viscosity = nv.StokesViscosity(K_v=0.01, G_v=0.01)
     disc = nv.Body(

@@ -40,7 +40,7 @@ def phase(cells: tuple[int, int], steps: int) -> float:
 
 
 def test_the_speed_of_a_wave_converges_at_second_order():
-    """The speed is right to second order: half the cell size leaves a quarter of the error."""
+    """With half the cell size a quarter of the error is left."""
     coarse, fine = (abs(phase((n, n // 4), n)) for n in (8, 16))
     assert 1e-4 < fine < 0.02
     assert 3.0 < coarse / fine < 5.0

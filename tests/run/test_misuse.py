@@ -1,5 +1,4 @@
-"""Wrong scripts get an error that names the fault, instead of a bare error, a wrong picture or a wrong
-run."""
+"""Wrong scripts get an error that names the fault, not an error of Python or a wrong result."""
 
 import math
 import re
@@ -277,7 +276,7 @@ volumes(PLANE, [HalfSpace((0, 0, 0), (0, 0, 1))]) | since the mesh has 2 dimensi
 volumes(box((1, 1, 1), 1), [Polygon(((0, 0), (1, 0), (0, 1)))]) | needs a mesh of two dimensions
 volumes(PLANE, [Where(1 / (x - x))]) | finite
 """
-"""Misuses | the messages that answer them; lines with two spaces before them continue the message."""
+"""Lines MISUSE | MESSAGE; a line that begins with two spaces continues the message."""
 
 
 @cache

@@ -19,7 +19,7 @@ SCHEMES = ("backward-euler", "midpoint", "sdirk2")
 
 
 def band(f):
-    """1 in the middle of [0, 1], else 0."""
+    """A function of x that is 1 in the middle of [0, 1], and 0 elsewhere."""
     return IfPos(f - 0.25, IfPos(0.75 - f, 1.0, 0.0), 0.0)
 
 
@@ -41,7 +41,8 @@ STATES = {
     "hardening band": (LINEAR, {"values": {"plastic_content": 0.5 * band(x)}}, 2e-13),
     "hot": (nv.Thermal(material=nv.ReferentialNeoHookean(K_e=K_E, G_e=5.0), c=1.0, theta_R=300.0), {}, 1e-13),
 }
-"""Material, start, and the admitted change of the momentum over the whole momentum and the sound impulse."""
+"""Material, start, and the admitted change of the momentum, relative to the whole momentum and to the impulse
+of sound."""
 
 
 def thrown(name, m=1, v=(0.05, 0.02), dim=2, **options):
@@ -91,7 +92,8 @@ def test_every_scheme_keeps_momentum(name, scheme):
 @pytest.mark.filterwarnings("ignore:.*a carried modulus jumps")
 @pytest.mark.parametrize("name", ["quadratic", "neo-Hookean, B", "neo-Hookean, F", "stiffness 2 : 100"])
 def test_constants_in_cells_keep_momentum_to_rounding(name):
-    """With constants in cells zeta is phi'(z), and the weight is that of the Bregman distances."""
+    """With constants in cells, zeta equals phi'(z), and the weight of the momentum balance equals that of the
+    Bregman distances."""
     run, change = thrown(name, m=0, solver="split")
     assert change <= 1e-12
     if "stiffness" not in name:  # an energy that is convex
@@ -105,7 +107,7 @@ def test_momentum_is_kept_in_space(name):
 
 @pytest.mark.parametrize("solver", ["split", "coupled"])
 def test_a_cracked_body_at_rest_stays_where_it_is(solver):
-    """An earlier scheme let the body fly off at 0.2 m/s within half a second, with an exact ledger."""
+    """By an earlier scheme the body flew off at 0.2 m/s within half a second, although the ledger closed."""
     _, start, _ = STATES["cracked"]
     mesh = structured_box((1, 0.25), (4, 1), periodic="xy")
     model = nv.Model(material=BROKEN, viscosity=VISCOUS)

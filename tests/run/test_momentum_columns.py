@@ -114,8 +114,8 @@ def test_momentum_changes_by_the_impulses_and_defects_of_the_ledger(between, sch
 
 @pytest.mark.parametrize(("between", "scheme"), each_once(["slip", "a moving lid"], SCHEMES))
 def test_the_impulse_of_a_wall_equals_its_reaction_times_the_step(between, scheme):
-    """The impulse is compared with ``WallForces``, which takes the rows of the residual that are not
-    solved."""
+    """The impulse is compared with ``WallForces``, which reads the residual in the rows of prescribed
+    unknowns."""
     forces = nv.WallForces()
     run = run_between(WALLS[between], scheme, observers=[forces])
     ledger = run.run(until=0.1)
@@ -127,7 +127,7 @@ def test_the_impulse_of_a_wall_equals_its_reaction_times_the_step(between, schem
 
 @pytest.mark.parametrize("as_bodies", [False, True])
 def test_a_floor_bears_the_weight(as_bodies):
-    """The flux of bodies counts, because B_h takes phi - z : zeta out of the stress."""
+    """The momentum flux of bodies contributes, because B_h contains the stress without phi - z : zeta."""
     weight = 1.5
     loads = [nv.Gravity((0.0, -1.0))]
     model = nv.Model(material=SOLID, viscosity=nv.StokesViscosity(K_v=2, G_v=2), loads=loads)
@@ -242,7 +242,8 @@ def thrown(**options) -> nv.Simulation:
 
 
 def test_inertia_keeps_momentum_and_its_loss_of_angular_momentum_is_a_column():
-    """v . e is not in the space of rho, so that the skew form alone loses up to 3e-4 here."""
+    """A velocity's component is not in the space of rho. The skew form alone would therefore lose up to 3e-4
+    of the momentum."""
     ledger = thrown(scheme="midpoint").run(until=0.1)
     size = ledger.column("momentum_size").max()
     assert abs(of(ledger, "defect_inertia")).max() < 1e-12 * size
@@ -253,8 +254,8 @@ def test_inertia_keeps_momentum_and_its_loss_of_angular_momentum_is_a_column():
 
 
 def test_jumps_of_smooth_states_create_no_momentum():
-    """Neither the trace at which both tangents meet nor a quadrature that resolves the energy has a
-    thrust."""
+    """Neither the facet trace at which both tangents meet nor a quadrature that resolves the energy exerts a
+    net force."""
     ledger = thrown().run(until=0.1)
     size = ledger.column("momentum_size").max()
     assert abs(of(ledger, "defect_cells")).max() < 1e-9 * size
@@ -262,7 +263,8 @@ def test_jumps_of_smooth_states_create_no_momentum():
 
 
 def test_a_clamped_body_under_stress_rests_without_warnings():
-    """The walls' reactions cancel, and the motion dies away: what is left of both is rounding."""
+    """The reactions of the walls cancel and the motion decays, so that both are rounding errors in the
+    end."""
     model = nv.Model(material=nv.LinearElastic(K_e=1e9, G_e=1e9))
     walls = {"left": nv.NoSlip(), "right": nv.NoSlip()}
     strain = CF((1e-3 * (1 + x * y), 0, 0, 0, 0, 0, 0, 0, 0), dims=(3, 3))
@@ -284,7 +286,7 @@ def test_a_clamped_body_under_stress_rests_without_warnings():
 
 
 def test_walls_bear_the_torque_of_a_heated_block_that_they_clamp():
-    """The jumps of the thermal stress in a row of cells with one diagonal have a torque of 1e-6 of its own.
+    """In a row of cells with one diagonal, jumps of the thermal stress exert a torque of 1e-6.
 
     Nothing moves, since the walls bear this torque. Momentum and impulses of walls give no scale of this
     torque.
@@ -308,8 +310,9 @@ def test_walls_bear_the_torque_of_a_heated_block_that_they_clamp():
 
 @pytest.mark.parametrize("bodies", [0, 2])
 def test_walls_bear_a_momentum_defect_only_of_matter_that_fills_the_domain(bodies, monkeypatch):
-    """The defect is a hundredth of the stress's impulse, far above all momentum. A body may drift in its
-    medium against viscosity, so that the whole defect counts."""
+    """The defect is a hundredth of the impulse of the stress, and much larger than the momentum. Walls bear
+    it if one material fills the domain. A body in a medium may drift against viscosity, so that its whole
+    defect counts."""
     parts = [
         nv.Body(name="block", where=0.5 - x, material=SOLID, viscosity=STOKES, density=1.0),
         nv.Body(name="rest", material=SOLID, viscosity=STOKES, density=1.0),

@@ -1,4 +1,4 @@
-"""Scenes, movies and the VTK series that they are made of, pictures in the formats asked for."""
+"""Scenes and movies of VTK series, and pictures in the requested formats."""
 
 import base64
 import json
@@ -170,7 +170,7 @@ def test_pictures_have_the_format_of_their_name(tmp_path, kind, magic):
 
 
 def test_a_picture_says_its_time_and_its_plane(tmp_path):
-    """The file contains them too, since texts of an SVG stay texts."""
+    """An SVG file contains time and plane as texts, which the test reads."""
     import matplotlib
 
     mesh = box((1, 2, 3), 1.0)
@@ -225,7 +225,7 @@ def unpacked(text):
 
 @pytest.mark.parametrize("size", [(1, 2), (1, 2, 0.5)])
 def test_scene_holds_mesh_and_values(tmp_path, size):
-    """The surface is drawn once and whole, and an affine field has its values at all corners."""
+    """The scene contains each piece of the surface once, and the values of an affine field at all corners."""
     mesh = box(size, maxh=0.7)
     field = GridFunction(L2(mesh, order=1))
     f = x + 2 * y + 3 * (z if len(size) == 3 else 0)
@@ -248,7 +248,7 @@ def test_scene_needs_nothing_from_outside(tmp_path):
 
 
 def browser():
-    """Chromium's command, or None; where NGVISCO_REQUIRE_BROWSER is set it must be there."""
+    """The command of Chromium, or None; with NGVISCO_REQUIRE_BROWSER set, a missing Chromium is an error."""
     names = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
     found = next((path for path in map(shutil.which, names) if path), None)
     assert found or not os.environ.get("NGVISCO_REQUIRE_BROWSER"), (

@@ -51,7 +51,8 @@ OF_CI = DEAR | {
     (rule, 1 + (i + 1) % 3, ("split", "coupled")[i // 2 % 2], 2 + (i % 4 == 1), SCHEMES[(i + i // 3) % 3])
     for i, rule in enumerate(EVERY)
 }
-"""One more of each rule; in 3D by the split solver: three branches take the coupled one up to ten seconds."""
+"""Cases of CI, one more for each rule. In 3D they use the split solver, since the coupled solver needs up to
+ten seconds for three branches."""
 
 
 def _marks(case):
@@ -172,7 +173,7 @@ def test_a_wrapper_of_materials_wraps_a_network(around):
 
 
 def stretched(material):
-    """A strip that is held stretched until its damage stays: von Mises' stress, and the damage."""
+    """Von Mises' stress and the damage of a stretched strip, held until the damage is constant."""
     F = CF((1.2, 0, 0, 0, 1, 0, 0, 0, 1), dims=(3, 3))
     run = nv.Simulation(
         box((1, 1), maxh=1.0), nv.Model(material=material), dt=0.5, initial=nv.Initial(F=F, density=1.0)
@@ -293,7 +294,7 @@ def test_a_users_branch_that_is_not_convex_is_named():
 
 
 def of_bodies(material, solver="coupled"):
-    """A disc of the material in a body that creeps."""
+    """Bodies: a disc of the given material, in a body that creeps."""
     viscosity = nv.StokesViscosity(K_v=0.05, G_v=0.05)
     place = nv.Ball((0.5, 0.5), 0.3)
     disc = nv.Body(name="disc", where=place, material=material, viscosity=viscosity, density=1.0)

@@ -56,7 +56,7 @@ def largest(run, name, value):
     ("solver", "scheme"), each_once(["split", "coupled"], ["midpoint", "backward-euler"])
 )
 def test_states_stay_within_the_domain_of_the_energy(solver, scheme):
-    """FENE-P chains are drawn close to their length, and no farther; the ledger closes."""
+    """FENE-P chains are stretched almost to their largest length; the ledger closes."""
     creep = nv.Creep(G_m=10.0, law="conformation")
     run = sheared(nv.FENEP(K_e=10, G_e=5, b=5), 4.0, solver, creep=creep, scheme=scheme)
     ledger = run.run(3 * DT)
@@ -68,8 +68,7 @@ def test_states_stay_within_the_domain_of_the_energy(solver, scheme):
 
 @pytest.mark.parametrize("solver", [by_ci("coupled"), "split"])
 def test_a_step_beyond_the_domain_is_refused_by_its_name(solver):
-    """A lid stretches an elastic body until a step is refused. The error says how much room to stretch is
-    left."""
+    """A lid stretches an elastic body until a step is refused. The error states the remaining stretch."""
     run = sheared(GENT, 4.0, solver, creep=None, halvings=1)
     with pytest.raises(nv.StepError) as caught:
         run.run(1.0)

@@ -59,8 +59,8 @@ def measured(run, *measures):
 
 
 def test_an_ellipse_has_its_area_axes_angle_and_perimeter():
-    """Outlines consist of chords of 1/40: all sizes are too small by up to h^2/(8 r^2), and never too
-    large."""
+    """Outlines consist of chords of length h = 1/40, so that sizes are too small by up to h^2/(8 r^2), and
+    never too large."""
     found = cut(inside_ellipse)
     moments = Moments.of(found.inside)
     L, breadth, angle = moments.ellipse()
@@ -75,7 +75,7 @@ def test_an_ellipse_has_its_area_axes_angle_and_perimeter():
 
 
 def test_a_square_has_its_area_perimeter_and_no_deformation():
-    """The square's sides are lines of the lattice's points."""
+    """The sides of the square are lines of lattice points."""
     found = cut(lambda X, Y: 0.2 - np.maximum(abs(X - 0.5), abs(Y - 0.5)))
     L, breadth, _ = Moments.of(found.inside).ellipse()
     assert Moments.of(found.inside).area == pytest.approx(0.16, rel=1e-9)
@@ -122,7 +122,7 @@ def test_two_outlines_have_the_distance_of_their_closest_points():
 
 @pytest.mark.parametrize("m", [0, 1, 2])
 def test_columns_of_a_body_are_those_of_its_shape(m):
-    """The body is 3.6 cells broad, and its area is that within chords through points half a cell apart."""
+    """The body is 3.6 cells broad. Its area is that of a polygon with corners half a cell apart."""
     start = nv.Initial(velocity=(-0.7 * (y - 0.5), 0.7 * (x - 0.5)))
     found = measured(
         run_with(("e", inside_ellipse(x, y)), m=m, initial=start), "deformation", "outline", "turning"

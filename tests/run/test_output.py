@@ -57,8 +57,8 @@ def two_bodies(maxh=0.3, **options):
 
 
 def test_stresses_of_bodies_are_written_in_less_time_than_a_step_takes_and_with_outlines(tmp_path):
-    """When each part of the pressure was evaluated where it is read, writing a stress took as long as sixty
-    steps."""
+    """In an earlier version, which evaluated each part of the pressure again for each use, writing a stress
+    took as long as sixty steps."""
     run = two_bodies()
     began = time.process_time()
     run.advance()

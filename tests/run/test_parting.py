@@ -1,4 +1,4 @@
-"""Bodies that part: in cells that a body shares with a gas, an interface's opening strains the gas alone."""
+"""Bodies that part: in cells that a body shares with a gas, an opening gap strains the gas alone."""
 
 import numpy as np
 import pytest
@@ -24,9 +24,9 @@ def gas(bulk):
 
 
 def pulled(parts=True, solver="split", m=0, dim=2, creep=None, **options):
-    """A block on the bottom of a box, under a gas; half of the second row of cells is its own.
+    """A block on the bottom of a box, under a gas. The block fills half of the second row of cells.
 
-    With m = 1 the gas has a fifth of the block's modulus: from 10 : 1 on amounts of order one overshoot.
+    With m = 1 the gas has a fifth of the block's modulus; from a tenth on, linear amounts would overshoot.
     """
     bulk, light = ((2e-3, 1e-3), (0.4, 0.2))[m]
     mesh = structured_box((0.5, 1.0), (2, 4)) if dim == 2 else structured_box((0.5, 0.5, 1.0), (1, 1, 3))
@@ -76,12 +76,14 @@ def test_both_solvers_agree_and_the_ledger_closes_where_bodies_part(name):
 @pytest.mark.long
 @pytest.mark.ci
 def test_a_run_goes_on_to_the_bit(tmp_path):
-    """The normals are those of the step's start, from which a resumed run computes them again."""
+    """The normals follow from the state at the start of a step, so that a resumed run computes the same
+    normals."""
     assert_goes_on(pulled, tmp_path / "run.h5", 0.4, 2)
 
 
 def test_an_opening_gap_strains_no_body_and_a_stretch_along_the_interface_does():
-    """D = n x n and n x t + t x n are openings; t x t - n x n, which keeps the volume, is not."""
+    """The rates D = n x n and D = n x t + t x n are openings. The rate D = t x t - n x n, which keeps the
+    volume, is none."""
     n, t = np.array([0.6, 0.8, 0.0]), np.array([-0.8, 0.6, 0.0])
     P, zero = constant(np.outer(n, n)), np.zeros((3, 3))
     mesh = box((1, 1), 1.0)

@@ -62,8 +62,8 @@ def test_passive_fields_enter_a_periodic_cell_where_they_leave_it():
 
 
 def test_passive_fields_do_not_grow_in_curved_cells_at_rest():
-    """The old value is integrated by the rule of the matrix; with another rule constants grew
-    exponentially."""
+    """The old value and the matrix are integrated by the same rule. With different rules, constants would
+    grow exponentially."""
     run = small_run(disc(1.0, maxh=0.7), passive=("F_tot", "reference_map"))
     for _ in range(200):
         run.rothe_step.context.tau.Set(0.02)
@@ -83,8 +83,8 @@ def test_checkpoint_without_the_passive_fields_is_refused(tmp_path):
 
 
 def test_a_passive_field_that_is_not_solved_leaves_the_step_alone(monkeypatch):
-    """States and steps are those without the field, and a column counts the components without a
-    solution."""
+    """States and steps equal those of a run without the field. A column counts the components that were not
+    solved."""
     monkeypatch.setattr("ngvisco.forms.carrier.ITERATIONS", 1)
     run, without = simulation(), simulation(passive=())
     with pytest.warns(

@@ -67,7 +67,7 @@ def assert_exact_balance(run):
 
 
 def assert_no_flux(run):
-    """The mean of v.n vanishes on every facet of the curved walls, and v.n on the plane ones."""
+    """Assert that v.n vanishes on plane walls, and that its mean vanishes on every facet of curved walls."""
     v, n = run.fields["velocity"], specialcf.normal(run.mesh.dim)
     flux = np.abs(np.array(Integrate(v * n, run.mesh, BND, order=8, element_wise=True)))
     assert flux.max() < 1e-11
@@ -129,7 +129,8 @@ SIDES = {
 
 
 def with_inclusion(dim, interface, maxh):
-    """A box with a smaller one in it, at a wall in the plane, whose sides are called ``interface``."""
+    """A box with an inner box, whose sides are called ``interface``; in the plane the inner box touches a
+    wall."""
     if dim == 2:
         whole, inner = occ.Rectangle(1, 1).Face(), occ.MoveTo(0.3, 0).Rectangle(0.4, 0.5).Face()
     else:
@@ -149,7 +150,7 @@ def with_inclusion(dim, interface, maxh):
 
 
 def without_interfaces(mesh):
-    """Mesh of the same cells in one domain, with the outer walls only."""
+    """The mesh with the same cells in a single domain, without inner boundaries."""
     plain = NetgenMesh(dim=mesh.dim)
     points = [(*v.point, 0.0)[:3] for v in mesh.vertices]
     numbers = [plain.Add(MeshPoint(Pnt(*point))) for point in points]
@@ -184,7 +185,7 @@ def without_interfaces(mesh):
     ],
 )
 def test_a_run_with_an_interface_equals_that_on_the_same_cells_without(dim, interface, solver):
-    """The interface may have the name of a wall that has no slip, or is pulled along."""
+    """The interface may have the same name as a wall without slip, or as a moving wall."""
     mesh = with_inclusion(dim, interface, 0.4 if dim == 2 else 0.8)
     plain = without_interfaces(mesh)
     assert plain.ne == mesh.ne

@@ -34,8 +34,8 @@ def ellipse(centre, length, breadth, periodic):
 
 
 def table_of(centre, periodic="xy"):
-    """The run and its table of an inclined ellipse and a small disc to its right, turned by a periodic
-    flow."""
+    """A run with an inclined ellipse and a small disc to its right, turned by a periodic flow; the run and
+    the table are returned."""
     solid = {"material": nv.ReferentialNeoHookean(K_e=1.0, G_e=1.0), "density": 1.0}
     solid["viscosity"] = nv.StokesViscosity(K_v=0.1, G_v=0.1)
     away = (centre[0] + 0.42, centre[1])
@@ -57,7 +57,8 @@ def table_of(centre, periodic="xy"):
 
 
 def measured(*args, slopes_of=()):
-    """The figures of a table at the start of a run, and the sizes of some of their slopes by the state."""
+    """Measures of bodies at the start of a run, and the norms of some derivatives of the measures by the
+    state."""
     run, table = table_of(*args)
     names = table.prepare(run)
     (row,) = table._sample(run)
@@ -67,7 +68,7 @@ def measured(*args, slopes_of=()):
 
 @pytest.mark.parametrize("moved", [by_ci((6, 0)), (5, 7)])
 def test_an_ellipse_over_the_boundary_has_the_measures_of_one_in_the_middle(moved):
-    """The cells of the mesh are images of each other, so that the figures agree to rounding."""
+    """A shift by a cell maps the mesh to itself, so that the measures agree to rounding."""
     moved_centre, names = tuple(0.5 + np.array(moved) / CELLS), (*SHAPES, "long_x", "round_y")
     inside, slopes = measured((0.5, 0.5), slopes_of=names)
     over, of_over = measured(moved_centre, slopes_of=names)
@@ -97,7 +98,8 @@ def row_of(where, mesh, measures=()):
 
 
 def test_a_layer_around_a_channel_stays_in_its_place():
-    """A layer meets its own image on both sides. The layer has the ellipse of its rectangle in the domain."""
+    """The layer meets its own periodic image on both sides. Its deformation is that of its rectangle in the
+    domain."""
     layer = nv.Block((-1.0, 0.25), (2.0, 0.5))
     row = row_of(layer, structured_box((1.0, 1.0), (8, 8), periodic="x"), ["deformation", "outline"])
     # 4/sqrt(12) times the sides; the outline of a layer of two cells is the two lines beside it
@@ -107,7 +109,8 @@ def test_a_layer_around_a_channel_stays_in_its_place():
 
 
 def test_a_layer_is_joined_across_the_periodic_boundaries_that_it_crosses():
-    """The layer meets its own image in x only: the halves at the bottom and the top are one layer."""
+    """In x the layer meets its own periodic image. In y its halves at the bottom and at the top are
+    joined."""
     layer = nv.Block((-1.0, -1.0), (2.0, 0.125)) | nv.Block((-1.0, 0.75), (2.0, 2.0))
     row = row_of(layer, structured_box((1.0, 1.0), (8, 8), periodic="xy"), ["deformation"])
     assert (row["body_x"], row["body_y"]) == pytest.approx((0.5, 0.9375), rel=1e-9)

@@ -1,4 +1,4 @@
-"""Positive definite B: cases for which it is proved (FORMULATION 8), and messages about it."""
+"""Positive definite B: cases in which B provably stays positive definite (FORMULATION 8), and messages."""
 
 import numpy as np
 import pytest
@@ -13,11 +13,11 @@ from ngvisco.geometries import box
 MESH = box((1, 1), maxh=0.5)
 CHAINS = nv.Branch(material=nv.OldroydB(K_e=20.0, G_e=1.0), creep=nv.Creep(G_m=4.0, law="conformation"))
 SPRING = nv.Branch(material=nv.ReferentialNeoHookean(K_e=20.0, G_e=1.0, elastic_state="B"))
-"""With the barrier of ln det B, and with an energy that is linear in B."""
+"""Chains whose energy has the barrier ln det B, and a spring whose energy is linear in B."""
 JUMPING = IfPos(
     x - 0.5, CF((9.0, 0, 0, 0, 1 / 9, 0, 0, 0, 1.0), dims=(3, 3)), CF(tuple(np.eye(3).ravel()), dims=(3, 3))
 )
-"""States of volume one, with a least eigenvalue of 1/9."""
+"""Start values with det B = 1 and the least eigenvalue 1/9."""
 
 
 def stirred(branches, m, speed=1.0, **options):

@@ -1,4 +1,4 @@
-"""Measurements have the values that the fields, the momentum balance and the ledger have."""
+"""Probes, integrals and wall forces agree with the fields, the ledger and the momentum balance."""
 
 import math
 
@@ -68,9 +68,8 @@ MOVING = FRICTION | {"bottom": nv.PrescribedTangential((nv.time, 0))}
     ],
 )
 def test_forces_on_walls_balance_weight_and_momentum(walls, options, bound):
-    """The scheme keeps momentum up to the projection of v, which only the convection contains.
-
-    The forces' mean over the stages, and the impulse at the end, give the change of momentum in a step.
+    """The scheme keeps momentum up to the projection of v in the convection. The change of momentum in a step
+    equals the mean force over the stages times dt, plus the impulse at the end.
     """
     forces = nv.WallForces()
     integrals = nv.Integrals({"1": "density*velocity_1", "2": "density*velocity_2", "m": "density"})
@@ -103,8 +102,8 @@ def test_torque_on_a_curved_wall_balances_the_angular_momentum():
 
 
 def test_forces_of_a_periodic_strip_of_one_cell_balance_its_momentum():
-    """A cell that meets its own periodic image has one vertex twice; the shear stress does not depend on the
-    strip's length."""
+    """A cell that meets its own periodic image has one vertex twice. The shear stress does not depend on the
+    length of the strip."""
     found = []
     for cells in (1, 2):
         forces = nv.WallForces(["top"])

@@ -1,5 +1,4 @@
-"""A bar that is pulled at both ends by one traction, and a ring under pressure, between walls that matter
-crosses, stay where they are."""
+"""A bar pulled at both ends and a ring under pressure stay in place between walls that matter crosses."""
 
 from itertools import product
 
@@ -51,8 +50,8 @@ def assert_energy_is_of_the_walls_at_most(ledger):
 
 
 def pulled(mesh, kind, scheme, solver):
-    """The momentum along the bar after six steps, with and without the momentum that matter carried through
-    the ends, over the impulse of sound, traction x area x length/c."""
+    """The momentum along the bar after six steps, with and without the momentum carried through the ends.
+    Both are relative to the impulse of sound, traction x area x length/c."""
     run = nv.Simulation(
         mesh,
         nv.Model(material=MATERIALS[kind], viscosity=nv.StokesViscosity(K_v=0.3, G_v=0.3)),

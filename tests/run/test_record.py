@@ -1,4 +1,4 @@
-"""``record``: the usual files of a run, and what it refuses before it computes anything."""
+"""``record``: the files that it writes, and invalid arguments, which it refuses before the run."""
 
 from support import small_run
 

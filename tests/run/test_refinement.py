@@ -1,4 +1,4 @@
-"""Meshes that follow a field: quantities that a new mesh keeps, and one ledger over all meshes."""
+"""Meshes that follow a field: quantities that a new mesh keeps, and the ledger over all meshes."""
 
 import numpy as np
 import pytest
@@ -99,8 +99,8 @@ def test_a_run_under_way_is_refused():
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_the_displacement_of_a_wall_on_springs_is_carried_over(dim):
-    """On finer cells, the displacement is the same. From these cells, the displacement is projected to
-    coarser cells of another mesh, in L2 on the wall."""
+    """Finer cells have exactly the same displacement. Coarser cells of another mesh get its L2 projection on
+    the wall."""
     model = nv.Model(material=nv.LinearElastic(K_e=4.0, G_e=1.0))
     walls = {"right": nv.Open(density=1.0, stiffness=(9.0, 4.0))}
     shape = CF((y * y, y - 0.5 * x, x * y)[:dim])

@@ -1,4 +1,4 @@
-"""Bad input of a script: a typed error names field, value and what is right.  NumPy's numbers are numbers."""
+"""Bad input of a script: a typed error names field, value and valid values. NumPy's numbers are accepted."""
 
 import ast
 import math
@@ -59,13 +59,14 @@ def without_energy():
 
 @cache
 def names():
-    """Names that the tables' expressions know."""
+    """Names for the expressions in the tables below."""
     known = {name: getattr(nv, name) for name in dir(nv)} | vars(variables) | vars(geometries) | globals()
     return known | {"inf": math.inf, "nan": math.nan, "np": np, "sqrt": sqrt}
 
 
 def rows(table):
-    """Parameters of a table's lines, EXPRESSION of _ | VALUES of it | and what else there is."""
+    """Test parameters from lines EXPRESSION | VALUES | FURTHER ENTRIES; each value replaces _ in the
+    expression."""
     found = []
     for line in table.strip().splitlines():
         make, values, *rest = line.split(" | ")

@@ -155,7 +155,8 @@ def column(steps=0, K_e=1e5, height=1.0, **options):
 
 
 def test_the_velocity_scale_of_a_start_from_rest_is_known_after_a_step():
-    """Free fall from rest would give 4.4 m/s, whereas under a static load the matter creeps to its place."""
+    """Under its static load the column settles by creep. The velocity of free fall, 4.4 m/s, would be no
+    scale of this motion."""
     before, after = column(), column(steps=1)
     assert before.velocity == 0 and not any("v" in name.split(",")[0] for name in ["Courant"])
     assert {"Courant, v dt/h", "Mach of shear waves"}.isdisjoint(before.numbers)
@@ -205,7 +206,8 @@ def test_cells_across_each_body_are_counted():
 
 
 def test_at_rest_the_velocity_scale_is_that_of_walls_or_of_waves():
-    """The scale is in units of the problem, and determines alone how wide the upwinding is smoothed."""
+    """The velocity scale has the units of the problem. It alone determines the smoothing width of the
+    upwinding."""
     model = nv.Model(material=NEO_HOOKEAN)
     still = nv.Simulation(box((1, 1), 0.6), model, dt=0.01, initial=nv.Initial(density=4.0))
     speed = math.sqrt(moduli(NEO_HOOKEAN, 2)[0] / 4.0)
@@ -216,7 +218,8 @@ def test_at_rest_the_velocity_scale_is_that_of_walls_or_of_waves():
 
 
 def test_a_run_does_not_depend_on_what_ran_before_it():
-    """A wall's velocity at the start is that at t = 0, even if another run has ended at another time."""
+    """A wall that depends on time starts with its velocity at t = 0, even after another run that has ended at
+    a later time."""
     walls = {"top": nv.PrescribedTangential((0.5 + nv.time, 0.0))}
     found = []
     for left in (0.0, 7.0):
@@ -278,7 +281,7 @@ TENSE = tense(15.0005)
 
 
 def warned(*materials, **options):
-    """Messages of stresses at rest at the start of discs, one within the other, of these materials."""
+    """The warnings of stresses at rest at the start of a run with nested discs of the given materials."""
     bodies = [
         nv.Body(
             name=f"b{i}", where=nv.Ball((0.5, 0.5), 0.4 / i) if i else None, density=1, order=i, material=m
@@ -323,10 +326,11 @@ def test_a_given_start_brings_no_warning_of_stress_at_rest():
 
 
 MODULI = {"K_e": 7.3, "G_e": 0.37}
-"""Moduli for which 1 + 1/3 and the like are not numbers of the machine: zero at rest only to rounding."""
+"""Moduli for which stresses at rest are zero only up to rounding, because sums such as 1 + 1/3 are
+rounded."""
 VISCOSITY = nv.StokesViscosity(K_v=0.1, G_v=0.1)
 NEAR_ZERO = ("LinearElastic", "HardeningElastic", "IsotropicStrainEnergy", "OldroydB", "FENEP", "NeoHookean")
-"""Materials with zero energy at rest, and one whose energy at rest is not zero; all have closures of the
+"""Materials with zero energy at rest, and one material with another energy at rest. Their closures have the
 same size."""
 OLDROYD_B = nv.OldroydB(**MODULI)
 
@@ -344,7 +348,7 @@ def run_of(material: nv.Material = OLDROYD_B, **options) -> nv.Simulation:
 
 
 def require_rest(run: nv.Simulation) -> None:
-    """A warning is an error here, so that the run itself is the test; nothing moves but by rounding."""
+    """Run a body at rest with warnings as errors, and assert that it moves by rounding only."""
     ledger = run.run(0.2)
     assert not run.ledger.unclosed
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-8
@@ -353,7 +357,8 @@ def require_rest(run: nv.Simulation) -> None:
 
 @pytest.mark.parametrize("material", list(materials()))
 def test_the_ledger_of_a_body_at_rest_closes(material):
-    """OldroydB had a closure of 5e-33 J over an energy of 0 J, and a warning of a relative closure of 2.0."""
+    """An earlier version warned of a relative closure of 2.0 for OldroydB, whose closure is 5e-33 J and whose
+    energy is 0 J."""
     require_rest(run_of(material, density=2.3 + x, solver="coupled"))
 
 

@@ -1,4 +1,4 @@
-"""Lengths of steps: given, adaptive, in halves; rejected, grown again, reproduced by a restart."""
+"""Lengths of steps: given, adaptive or halved; rejected steps, growing steps, and steps after a restart."""
 
 import io
 
@@ -69,7 +69,7 @@ def test_a_failed_step_is_halved_recorded_and_grown_again(monkeypatch):
 
 @pytest.mark.parametrize("why", ["too long", by_ci("the error constant")])
 def test_a_rejected_step_leaves_no_trace(why, monkeypatch):
-    """The state after a rejection is that of a run that took the short step at once."""
+    """After a rejected step, the state equals that of a run that took the shorter step at once."""
     tolerance = 1e-3 if why == "the error constant" else None
     stepping = nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.04, patience=9, tolerance=tolerance)
     run, short = simulation(stepping, dt=0.04), simulation(stepping, dt=0.02)
@@ -288,7 +288,8 @@ def test_a_run_stopped_within_a_step_is_resumed_bitwise(solver, tmp_path):
 
 
 def test_a_run_that_is_asked_to_stop_while_it_writes_begins_no_further_step(tmp_path):
-    """The request comes while an observer writes: its file is complete, and other observers write too."""
+    """The request to stop comes while an observer writes. The file is completed, and the other observers
+    write too."""
 
     class Asked(nv.VTKSeries):
         def step(self, simulation, row):

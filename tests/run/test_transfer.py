@@ -1,5 +1,4 @@
-"""Runs that continue with another mesh or other parameters: mass is exact, and the ledger has the lost
-energy."""
+"""Runs that continue on another mesh or with other parameters: kept mass, and lost energy in the ledger."""
 
 import numpy as np
 import pytest
@@ -88,7 +87,7 @@ def amounts(run):
 @pytest.mark.long
 @pytest.mark.ci
 def test_another_mesh_keeps_the_mass_of_each_body():
-    """The density is the sum of the amounts' densities."""
+    """The density of a run with bodies is the sum over amounts times referential densities."""
     source = with_bodies()
     source.run(0.06)
     before, _ = amounts(source)

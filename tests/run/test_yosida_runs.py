@@ -65,7 +65,7 @@ def test_the_papers_energy_has_both_regularisations_in_the_ledger() -> None:
 
 
 def test_cauchy_stress_contains_the_approximated_energy() -> None:
-    """T is a part by F plus (J zeta_J + phi_eps) I: its spherical part minus that of the conjugates is
+    """T = zeta_F F^T + (J zeta_J + phi_eps) I, so that T_11 without the parts of zeta_F and zeta_J is
     phi_eps."""
     run = simulation(nv.Yosida(material=NEO_HOOKEAN, eps=0.02))
     fields = run.fields  # obtained once, because the fields follow the state
@@ -83,7 +83,7 @@ def test_cauchy_stress_contains_the_approximated_energy() -> None:
 
 
 def test_a_users_energy_without_a_minimum_is_refused_with_the_reason() -> None:
-    """The energy's convexity is sampled like that of every user's energy; at F = 1.3 I it has no
+    """The convexity check warns of this energy, as of any energy of a user. At F = 3 I it has no
     minimiser."""
 
     def energy(F, J):

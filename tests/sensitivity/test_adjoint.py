@@ -53,10 +53,8 @@ def directional(make, scheme, of, size=1.0, block=None, seed=0):
 
 
 class Still:
-    """A parameter that nothing depends on.
-
-    The spacing of the tangent's differences limits the products: below it rounding, above it the fifth
-    derivative.
+    """A parameter without effect. Tangents use differences, whose spacing limits the accuracy of the
+    products: a smaller spacing has more rounding, a larger one a larger fifth derivative.
     """
 
     value, spacing, is_of_start = 1.0, 3e-3, False
@@ -68,7 +66,7 @@ class Still:
 @pytest.mark.parametrize("solver", ["coupled", by_ci("split")])
 @pytest.mark.parametrize("scheme", [by_ci("backward-euler"), by_ci("midpoint"), "sdirk2"])
 def test_products_of_tangent_and_adjoint_are_equal(scheme, solver):
-    """The products use states that do not depend on the differences by the parameters."""
+    """The products change start values, so that they do not contain differences by parameters."""
     numbers = {name: text for name, text in OF.items() if name != "stress"} | FORCES
     by_tangent, by_adjoint = directional(partial(run, solver=solver), scheme, numbers)
     assert abs(by_adjoint / by_tangent - 1).max() < 1e-10
@@ -200,7 +198,8 @@ def test_a_probe_of_a_carried_logarithm_has_the_slope_of_each_time():
 
 
 def test_densities_of_derivatives_by_the_density_sum_to_the_derivative_by_a_number():
-    """If the whole density changes by one share, the integral is the number's own derivative."""
+    """If all densities change by the same factor, the integral of the density of derivatives is the
+    derivative by that number."""
     simulation = run()
     found = nv.gradient(simulation, UNTIL, of=OF, by=["initial.density"], method="adjoint")
     whole = [Integrate(found.density(name, "density"), simulation.mesh) for name in OF]

@@ -56,7 +56,8 @@ def numbers(run, **of):
 
 
 def relative(found, exact, names):
-    """Differences of derivatives over the largest of a kind: energies, all stresses, a force, ..."""
+    """Differences of derivatives, relative to the largest derivative of the same kind of column: energies,
+    stresses, forces and so on."""
     energies = dict.fromkeys(("kinetic", "stored"), "energy")
     words = [name.replace(" ", "_").split("_")[1] for name in names]
     kinds = [energies.get(word, word[:5]) for word in words]
@@ -133,8 +134,8 @@ def test_forces_and_stresses_in_three_dimensions_have_derivatives():
 
 
 def test_an_adjoint_without_one_of_its_parts_is_wrong(monkeypatch):
-    """Negative controls: the adjoint lacks the motion of the outline, the velocity within it, the
-    averaged fraction, or the volume."""
+    """Negative controls: adjoints without the part of the outline's motion, of the velocity inside, of the
+    averaged fraction, or of the volume."""
     names = ("disc_L", "disc_perimeter", "disc_turning", "disc_force_x", "disc_x")
     of, make = {name: f"{name} at 0.02" for name in names}, partial(bodies, scheme="backward-euler")
     given = {"of": of, "by": ["bodies.rest.density"], "method": "adjoint", "order": 2}

@@ -1,4 +1,4 @@
-"""Fits: parameters are found again, with their deviations; bad data are refused."""
+"""Fits recover the parameters of their data, with deviations; invalid data are refused."""
 
 import numpy as np
 import pytest
@@ -51,7 +51,7 @@ def test_a_fit_recovers_the_parameters_of_its_data():
 @pytest.mark.long
 @pytest.mark.ci
 def test_a_fit_to_noisy_data_has_the_right_deviations(tmp_path):
-    """The covariance is that of the linearised problem, whose derivatives are differences of whole runs."""
+    """The covariance equals that of the linearised problem, with derivatives by differences of whole runs."""
     noise, by = 2e-5, ["material.G_e", "creep.G_m"]
     found = nv.fit(creep(), data_of(noise, G_e=1.3, G_m=1.7), by=by, sigma=noise)
     off = (found.values - (1.3, 1.7)) / found.deviations

@@ -40,7 +40,7 @@ def test_derivatives_are_exact_when_the_upstream_side_changes_between_steps():
 
 
 def resting(push):
-    """Two densities, which meet at facets, at rest without a push."""
+    """Matter at rest with two densities that meet at facets, pushed by a load."""
     model = nv.Model(
         material=nv.ReferentialNeoHookean(K_e=10, G_e=5),
         viscosity=nv.StokesViscosity(K_v=0.01, G_v=0.01),

@@ -1,4 +1,4 @@
-"""Derivatives of the ledger's columns beside energies and rates: exchanges in a step, defects, extrema."""
+"""Derivatives of further columns of the ledger: exchanges in a step, defects, extrema."""
 
 from functools import partial
 from itertools import product
@@ -35,7 +35,8 @@ SCHEMES = [
 
 
 def of(names=NAMES):
-    """Values at the end, and integrals or sums up to the middle of the last step."""
+    """Names of each column's value at the end, and of its integral or sum until the middle of the last
+    step."""
     return {f"{name} {when}": f"{name} {when}" for name in names for when in ("at 0.06", "until 0.05")}
 
 
@@ -45,8 +46,8 @@ PRODUCTIONS = tuple(f"entropy_production_{name}" for name in PRODUCTIONS)
 
 
 def relative(found, exact, names):
-    """Differences over the largest derivative of an energy, momentum, power or production, or of the same
-    column."""
+    """Differences of derivatives, relative to the largest derivative of a column of the same kind: energies,
+    momenta, powers, productions."""
     sizes = []
     for name, value in zip(names, exact, strict=True):
         column, when = name.split(" ", 1)
@@ -57,8 +58,8 @@ def relative(found, exact, names):
 
 
 STRETCHED = CF((1.6 + 0.1 * x, 0.2, 0, 0.2, 0.9 - 0.05 * y, 0, 0, 0, 0.62), dims=(3, 3))
-"""Start values of B with different eigenvalues and det B = 0.87: near B = I the least eigenvalue and the norm
-of det B - 1 have kinks, closer than the spacing of a tangent's differences."""
+"""Start values of B with different eigenvalues and det B = 0.87: at B = I the least eigenvalue and the norm
+of det B - 1 have kinks, which the start must not approach within the spacing of a tangent's differences."""
 
 
 @pytest.mark.parametrize(("scheme", "solver"), SCHEMES)
@@ -74,7 +75,8 @@ def test_products_of_tangent_and_adjoint_are_equal(scheme, solver):
     [by_ci("backward-euler", "coupled"), ("backward-euler", "split"), by_ci("midpoint", "coupled")],
 )
 def test_products_of_columns_of_heat_are_equal(scheme, solver):
-    """The scheme's heat is a difference of energies of 600 J: rounding, or the spacing, leaves 2e-9 of it."""
+    """The scheme's heat is a difference of energies of 600 J. Rounding and the spacing of differences leave a
+    relative error of 2e-9."""
     by_scheme = scheme == "backward-euler"
     own = (*ENERGY, "entropy", *HEAT, *PRODUCTIONS, "temperature_min", "temperature_max")
     numbers = of([name for name in own if by_scheme or not name.endswith("numerical")])
@@ -120,7 +122,7 @@ def test_values_equal_those_of_the_run():
 
 @pytest.mark.parametrize("scheme", ["midpoint", by_ci("backward-euler")])
 def test_columns_of_energies_without_an_expression_have_derivatives(scheme):
-    """The dissipation and defects of such an energy have values at points, and its projection."""
+    """Dissipation and defects read values of such an energy at points, and its projection."""
     names = ("stored", "bregman", "impulse_walls_1", "angular_defect_facets", "angular_defect_cells")
     numbers, given = of(names), {"of": of(names), "by": ["material.G_e"]}
     tangent, adjoint = (
@@ -191,7 +193,7 @@ def test_columns_without_a_derivative_are_refused_with_the_reason(method, column
 
 @pytest.mark.parametrize("method", ["tangent", "adjoint"])
 def test_a_name_that_two_columns_have_is_refused(method):
-    """The table's column would stand silently for the ledger's."""
+    """Without an error, the column of the table would silently take the place of the ledger's column."""
     simulation = run(observers=[nv.Integrals({"kinetic": "density"})])
     with pytest.raises(nv.ParameterError, match="the name of one column, but 2 columns have this name"):
         nv.gradient(simulation, UNTIL, of=["kinetic at 0.06"], by=["creep.G_m"], method=method)

@@ -76,8 +76,8 @@ def test_tangents_and_adjoints_are_limits_of_differences(make, name, value, opti
 
 @pytest.mark.parametrize("solver", ["coupled", by_ci("split")])
 def test_heat_by_the_scheme_has_derivatives_in_spite_of_rounding(solver):
-    """The relative change of the power is 7e-5 of the expansion's. Rounding of 600 J of heat bounds the
-    digits."""
+    """The power changes relatively by 7e-5 of the change of the expansion. Rounding of 600 J of heat limits
+    the accuracy."""
     value, of = 1e-3, ["power_heat_numerical at 0.06", "power_heat_numerical until 0.06", "bregman at 0.06"]
     make = partial(heated, by_scheme=True, solver=solver, scheme="backward-euler")
     tangent, adjoint = (
@@ -90,7 +90,7 @@ def test_heat_by_the_scheme_has_derivatives_in_spite_of_rounding(solver):
 
 
 def layered(stiffness, **options):
-    """A stiff disc in a thin fluid: shear across their interface has the direction of the step's start."""
+    """A stiff disc in a thin fluid. The normals of their interface are those at the start of the step."""
     of_bodies = [("disc", nv.Ball((0.35, 0.55), 0.25), stiffness, 0.3), ("rest", None, 0.5, 0.05)]
     model = nv.Model(
         bodies=[
@@ -117,7 +117,7 @@ def layered(stiffness, **options):
     ],
 )
 def test_columns_that_read_the_start_of_a_step_have_derivatives(columns, options):
-    """The tangent, too, changes the start of each stage, by differences."""
+    """The tangent differentiates such columns by differences, which change the start of each stage."""
     columns = ("dissipation_stokes_shear", *columns)
     of = [f"{column} {when}" for column in columns for when in ("at 0.06", "until 0.05")]
     given = {"of": of, "by": ["bodies.disc.material.G_e"], "order": 2}
@@ -167,8 +167,8 @@ def test_interfaces_without_derivatives_are_refused(discretisation, method, said
 
 @pytest.mark.parametrize("scheme", [by_ci("backward-euler"), "midpoint"])
 def test_sharp_interfaces_have_tangents(scheme):
-    """Exchanged amounts, and the places of planes, depend on the parameters. If the exchange were a constant,
-    the derivatives of the place would be off by 6 to 30 %, and that of D by half."""
+    """The exchanged amounts and the places of planes depend on the parameters. With constant exchanges,
+    derivatives of the place would be off by 6 to 30 %, and the derivative of D by half."""
 
     def made(G_e):
         table = nv.Bodies(measures=["deformation"])

@@ -1,4 +1,4 @@
-"""The room's README: its example is a program."""
+"""The example in the README of ``sensitivity`` runs."""
 
 from documents import ROOT, marked_blocks
 

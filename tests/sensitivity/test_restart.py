@@ -20,7 +20,8 @@ BY = ["material.G_e", "initial.density"]
 
 
 def found(simulation, folder, method="tangent", **options):
-    """Differences of the second order need half of the neighbouring runs; a tangent needs no slopes."""
+    """The gradient of the tests; differences of second order need half as many neighbouring runs as those of
+    fourth order."""
     given = {"of": OF, "by": BY, "method": method, "order": 2, "restart": folder}
     return nv.gradient(simulation, UNTIL, **given | options)
 
@@ -162,7 +163,8 @@ def test_the_folder_of_another_run_is_refused(folder, change, said):
 
 
 def test_a_folder_identifies_functions_by_their_values():
-    """The text of an expression has six digits, and that of an NGSolve parameter no value."""
+    """Functions are compared by values, because the text of an NGSolve expression has six digits, and that of
+    a parameter no value."""
     sampler, (p, q) = run().sampler, (Parameter(3.0), Parameter(4.0))
     for one, other in ((CF(1.0), CF(1.0000001)), (p * x, q * x), (sin(nv.time) * x, sin(1.1 * nv.time) * x)):
         assert signature(one, sampler) == signature(one, sampler) != signature(other, sampler)

@@ -16,7 +16,7 @@ from ngvisco.shapes.shape import Block, Subdomain
 
 
 def cube(low=0.2, high=0.8):
-    """Twelve triangles, seen from outside against the clock."""
+    """The twelve triangles of a cube, counterclockwise as seen from outside."""
     corner = np.array([[i, j, k] for i in (low, high) for j in (low, high) for k in (low, high)])
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     return np.array([corner[list(t)] for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
@@ -71,8 +71,8 @@ def enclosed(triangles):
 @pytest.mark.parametrize("turned", [False, True])
 @pytest.mark.parametrize("part", [cube(), sphere(4)], ids=["cube", "sphere"])
 def test_volume_of_a_surface_is_met_on_cells_as_large_as_itself(tmp_path, part, turned):
-    """The surface lies along the faces of 28 cells of 0.5 m, and across them; if the sides of corners alone
-    decided, the volume would be up to 13 % off."""
+    """The surface lies along or across the faces of 28 cells of 0.5 m. If only the corners inside the surface
+    counted, the volume would be up to 13 % off."""
     axes = np.linalg.qr([[1.0, 2, 3], [0, 1, -2], [1, 0, 1]])[0] if turned else np.eye(3)
     turn = axes * np.sign(np.linalg.det(axes))
     path = tmp_path / "part.stl"
@@ -83,7 +83,8 @@ def test_volume_of_a_surface_is_met_on_cells_as_large_as_itself(tmp_path, part, 
 
 
 def test_a_surface_cut_by_a_shape_has_the_remaining_volume(tmp_path):
-    """The levels of both are lengths, in domains of any size, so that the cut is at the right place."""
+    """The level functions of the surface and of the shape are both lengths, in domains of any size, so that
+    the cut is at the right place."""
     for size in (1e-3, 1.0, 1e3):
         path = tmp_path / "cube.stl"
         path.write_bytes(binary_stl(size * cube()))
