@@ -98,7 +98,7 @@ def central_difference(f: Callable[[float], np.ndarray], h: float) -> np.ndarray
 
 
 def uncondensed(step: Step, integrands: list[Integrand] | None = None) -> BilinearForm:
-    """A form without condensed unknowns, of ``integrands``, or of all terms of the step."""
+    """A form of ``integrands``, or of all terms of the step, without static condensation."""
     form = BilinearForm(step.layout.space, check_unused=False)
     if integrands is None:
         trial, test = step.layout.space.TnT()
@@ -183,7 +183,7 @@ def small_box(dim: int) -> Mesh:
 
 @cache
 def step_of(case: Case) -> Step:
-    """The step of a case; tests share it, so that each test must set all fields by ``randomise``."""
+    """The step of a case. Tests share the step, so that each test must set all fields by ``randomise``."""
     step = Step(small_box(case.dim), case.model, nv.Discretisation(k=case.k, m=case.m))
     step.context.tau.Set(0.3)
     step.context.set_loads(0.2, 0.3)
@@ -248,7 +248,7 @@ OF_EACH_KIND = (
 
 
 def by_ci(*values: Any, id: str | None = None) -> Any:
-    """Values of a test's parameters that CI tries, and the default suite does not."""
+    """Test parameters that only CI tries."""
     return pytest.param(*values, marks=(pytest.mark.long, pytest.mark.ci), id=id)
 
 
@@ -293,12 +293,12 @@ K_e = 10
 G_e = 5
 epsilon = 0.1
 """
-"""The box and the material of a case file."""
+"""The tables [domain] and [material] of a case file."""
 A_FALL = '[[loads]]\nkind = "Gravity"\ng = [0, -1]\n'
 A_SWIRL = '[initial]\nvelocity = ["sin(pi*x)*cos(pi*y)", "-cos(pi*x)*sin(pi*y)"]\n'
 TWO_STEPS = "[time]\ndt = 0.02\nuntil = 0.04\n"
 NO_VTK = "[output.vtk]\nenabled = false\n"
-"""Further tables of a case file."""
+"""Further tables of a case file, in which no VTK files are written."""
 OF_MODELS, OF_STARTS = ({field.name for field in fields(given)} for given in (nv.Model, nv.Initial))
 
 
@@ -417,7 +417,7 @@ def demo(name: str) -> Any:
 
 
 def assert_sound(ledger: Ledger, material: nv.Material) -> None:
-    """Assert the paper's claims of a run with gravity and creep."""
+    """Assert the paper's claims for a run with gravity and creep."""
     assert_balanced(ledger)
     assert ledger.column("rho_min").min() > 0
     J = ledger.column("J_min")
@@ -466,7 +466,8 @@ WALLS = {
         (),
     ),
 }
-"""Mesh, walls, initial state and loads, which change in time as far as they can."""
+"""Mesh, walls, initial state and loads of each kind of wall. Data depend on time wherever the wall admits
+this."""
 
 
 def required(section: tuple[str, ...], kind: str | None = None) -> dict[str, Any]:

@@ -27,7 +27,8 @@ def balanced(run, drift=1e-12):
 
 
 def check(run, order):
-    """``order`` of the time scheme: of second order its dissipation is of either sign, and tiny."""
+    """Check a demo's run. With a time scheme of ``order`` 2 the scheme's dissipation has either sign and is
+    tiny."""
     ledger = balanced(run)
     assert ledger.column("rho_min").min() > 0 and ledger.column("J_min").min() > 0
     if order == 1:
@@ -48,7 +49,7 @@ def written(folder, *files):
 
 
 CLEAN = pytest.mark.filterwarnings("error::ngvisco.run.ledger.DefectWarning")
-"""The first thing that a user runs warns of nothing."""
+"""Demos whose runs must not warn, since users run them first."""
 
 
 @pytest.mark.parametrize(
@@ -81,7 +82,7 @@ def test_demo_keeps_energy_mass_and_positivity(name, steps, options, tmp_path):
 @pytest.mark.long
 @pytest.mark.ci
 def test_swirl_recoils_elastically():
-    """The kinetic energy falls below 4 % of its start and comes back to more than three quarters."""
+    """The kinetic energy falls below 4 % of its initial value, and returns to more than three quarters."""
     run = load("swirl").simulation(maxh=0.35)
     kinetic = run.run(0.3).column("kinetic")
     low = int(np.argmin(kinetic[:10]))
@@ -126,7 +127,7 @@ def test_the_sensitivity_demo_has_densities_of_derivatives_of_the_energy(tmp_pat
 @pytest.mark.ci
 @pytest.mark.filterwarnings("ignore::ngvisco.run.ledger.DefectWarning")
 def test_the_cavity_demo_continues_while_the_lid_tears_the_body(tmp_path):
-    """Under a lid of full speed cells are limited; under a smooth lid none is."""
+    """The limiter acts under a lid with full speed up to the corners, and not under a smooth lid."""
     demo = load("cavity")
     run = demo.main(str(tmp_path), until=0.36, maxh=0.25)
     assert balanced(run, drift=1e-11).column("limited_cells").max() > 0
@@ -140,17 +141,17 @@ MAXH = {
     **dict.fromkeys(["creep", "creep_finite", "heat", "mooney_rivlin"], 0.6),
     **{"barotropic": 0.25, "cylinder": 2.0, "shear": 1.0, "swirl3d": 0.9, "wave": 0.4},
 }
-"""Cell sizes of meshes that are soon computed; 0.5 m of other demos."""
+"""Cell sizes of coarse meshes for short tests; 0.5 m for demos that are not listed."""
 CELLS = {"soft_spot": [4, 2], "collision": [7, 4], "slab": [3, 4], "soft_disc": [3, 4]}
-"""Rows of cells of boxes that are soon computed."""
+"""Numbers of rows of cells of coarse boxes for short tests."""
 SCRIPTS = {"shear": lambda demo: demo.simulation(), "wave": lambda demo: demo.amplitudes(0.02, 2)[0]}
-"""The run that the case file describes, where its mesh has no size to choose."""
+"""The run that the case file describes, for demos whose mesh has no choice of size."""
 DEAR = (
     *("cavity", "collision", "couette", "cylinder", "heat", "mooney_rivlin", "shell", "slab"),
     *("soft_disc", "swirl", "swirl3d"),
     *("creep", "creep_finite", "glacier", "notch", "plume", "wave"),
 )
-"""More than half a second of processor time each."""
+"""Demos that take more than half a second of processor time each."""
 
 
 @pytest.mark.parametrize(
@@ -205,8 +206,8 @@ def test_soft_disc_keeps_its_mass_and_is_carried_by_the_flow(tmp_path):
 
 
 def test_a_quarter_of_the_vortex_has_a_quarter_of_the_energies():
-    """The case file is beside that of the soft disc; energies of the whole are four times those of the
-    quarter."""
+    """The case file is in the folder of the soft disc. Energies of the whole vortex are four times those of
+    the quarter."""
     case = nv.load_case(DEMOS / "soft_disc" / "vortex.toml", ["domain.maxh=0.25"])
     run = case.simulation(case.mesh())
     ledger = run.run(2 * run.dt)
@@ -232,8 +233,8 @@ def test_gel_rings_down_by_its_loss_factor():
 @pytest.mark.long
 @pytest.mark.ci
 def test_glacier_flows_by_its_closed_form():
-    """The cells have 0.2 m. A control, half of the linear law's profile, has the same velocity at the top and
-    does not agree."""
+    """The cells have a size of 0.2 m. As a control, half of the profile by a linear law has the same velocity
+    at the top, and does not agree."""
     demo, at = load("glacier"), np.linspace(0, 1, 21)
     run = demo.simulation(maxh=0.2, dt=0.4)
     ledger = run.run(12.0)

@@ -28,14 +28,14 @@ def test_links_in_pages_lead_to_files_and_headings(path):
 
 
 def anchors(text):
-    """Names by which links call a page's headings."""
+    """The anchors of a page's headings, by which links name them."""
     headings = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
 @pytest.mark.parametrize("path", MARKDOWN, ids=name)
 def test_tables_have_equal_rows_and_a_blank_line_before(path):
-    """A table has a blank line before it, and as many cells in every line as in its head; also in a list."""
+    """A table has a blank line before it, and the same number of cells in every line, also within a list."""
     text = re.sub(r"```.*?```", "", path.read_text(), flags=re.DOTALL)
     before, cells = "", 0
     for line in map(str.strip, text.splitlines()):

@@ -1,4 +1,4 @@
-"""Expressions: their values, refused texts, and the fact that no text can do anything else."""
+"""Expressions: their values, and refused texts. No text can do anything but give a value or an error."""
 
 import ast
 import math

@@ -1,5 +1,5 @@
-"""A wrong sign or factor of any term is seen by a test of the default suite or of CI (``mutants.py`` has the
-list)."""
+"""For every mutant, a wrong sign or factor of a term, a test of the default suite or of CI fails
+(``mutants.py``)."""
 
 import pytest
 from mutants import MUTANTS, ROOT, copy_with, seen

@@ -1,4 +1,4 @@
-"""Printing of warnings: each warning of ngvisco appears once, without a place in the code; others appear as
+"""Printing of warnings: each warning of ngvisco appears once, without a line of code; others appear as
 usual."""
 
 import subprocess

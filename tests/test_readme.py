@@ -48,7 +48,7 @@ def test_hdf5_is_read_as_printed(tmp_path, monkeypatch):
 
 
 def test_commands_install_and_run_in_one_line_each():
-    """A newcomer types these commands first: one installs the extra for the demo's pictures, the other that
+    """A newcomer types these commands first. One command installs the extra for pictures, the other the extra
     for tests."""
     commands = [line.strip() for line in README.read_text().splitlines() if line.startswith("    python3")]
     environment = "python3 -m venv .venv && .venv/bin/pip install"

@@ -1,4 +1,4 @@
-"""The operator of networks: parts taken branch by branch equal those of all branches at once."""
+"""The flow operator of networks: computing it branch by branch gives the same as all branches at once."""
 
 import numpy as np
 import pytest
@@ -77,7 +77,8 @@ def bodies():
 
 @pytest.mark.parametrize("slow", [None, nv.Creep(G_m=1.0, law="conformation"), "bodies"])
 def test_derivatives_of_creep_by_its_stress_equal_those_by_all_components(slow):
-    """The rate of the law "conformation" reads zeta, not the stress; that of a body reads the amounts too."""
+    """Rates of the law "conformation" are functions of zeta instead of the stress; rates of bodies also
+    depend on the amounts."""
     material = network()
     if isinstance(slow, nv.Creep):
         branch = nv.Branch(material=nv.OldroydB(K_e=10.0, G_e=5.0), creep=slow)

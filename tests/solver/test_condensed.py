@@ -1,4 +1,4 @@
-"""The Jacobian of the coupled solver asks for more of NGSolve's memory where a cell's matrix needs it."""
+"""The Jacobian of the coupled solver enlarges NGSolve's heap if a cell's matrix needs more memory."""
 
 import pytest
 
@@ -9,7 +9,7 @@ from ngvisco.solver.newton import HEAP_SIZES, CondensedJacobian
 
 
 class Form:
-    """A form whose assembly fails with the messages given, then succeeds."""
+    """A form whose assembly fails once with each given message, and then succeeds."""
 
     def __init__(self, *messages):
         self.messages, self.space = list(messages), self

@@ -21,7 +21,7 @@ from tests.parallel.own import Drag
 
 @dataclass(frozen=True)
 class DragByForms:
-    """A drag like ``Drag`` that states its form itself, with an operation that arrays do not have."""
+    """A drag that has a form of its own, with an operation that arrays do not have."""
 
     c: float
 
@@ -75,7 +75,7 @@ FACTOR, NET = 1 + x + 20 * nv.time, CF((y, nv.time))  # kept between steps, with
 
 @dataclass(frozen=True)
 class GrowthOfPlaceAndTime(PointTerm):
-    """A source of mass that differs in place and time, and a drag by a moving net on the cells' sides."""
+    """A source of mass that depends on place and time, and a drag by a moving net on the sides of cells."""
 
     s: float
 
@@ -99,7 +99,7 @@ class GrowthOfPlaceAndTime(PointTerm):
 
 @dataclass(frozen=True)
 class GrowthByForms:
-    """A row of rho that only a form states."""
+    """A row of rho that is given by a form only."""
 
     s: float
 
@@ -111,7 +111,7 @@ class GrowthByForms:
 
 
 class FormOnly(PointTerm):
-    """A term at points that states its form itself."""
+    """A term at points that is given by a form."""
 
     def form(self, u, w):
         return [Integrand(4.0 * u.rho * inner(u.v, w.v))]
@@ -121,8 +121,7 @@ class FormOnly(PointTerm):
 
 
 class OldViscosity(PointTerm):
-    """A viscosity that depends on the old state, on its gradients, and on the cells' size: rows of grad
-    w."""
+    """A viscosity that depends on the old state, on gradients of the old state, and on the size of cells."""
 
     def _modulus(self, u):
         c = u.context
@@ -158,8 +157,8 @@ class RowsOfBoth(PointTerm):
 
 
 class GrowthInTime(PointTerm):
-    """Growth at a rate that depends on place and time; its mean over the step is that of a function made in
-    the term."""
+    """Growth at a rate that depends on place and time. The term makes this function, whose mean over the step
+    acts."""
 
     def _rate(self, u):
         return u.context.average(0.5 + x + 20 * nv.time)
@@ -299,7 +298,7 @@ def test_a_term_that_only_forms_can_express_is_refused_by_its_name():
 
 
 def test_every_term_of_a_step_is_taken_exactly_once():
-    """Every term that the package's models make is looked at."""
+    """The test covers every term that models of the package make."""
     model = nv.Model(
         material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
         viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1),
@@ -334,7 +333,7 @@ class FacetDragByForms(Leak):
 
 
 class FacetDragOfNumbers(FacetDragByForms):
-    """A leak whose dissipation on facets is no function of the values there."""
+    """A leak whose dissipation on facets is no function of the values on the facets."""
 
     def dissipated_on_facets(self, u):
         return {"dissipation_leak": CF(1.0)}
@@ -402,8 +401,8 @@ def with_bent(**of_variable):
 
 
 def test_only_the_coupled_solver_takes_a_rate_not_linear_in_the_variables():
-    """The split solver, which tabulates rates, refuses this rate by the variable's name, and does not
-    linearise it."""
+    """The split solver tabulates rates that are linear in the variables. It refuses this rate, and names the
+    variable."""
     with pytest.raises(
         ParameterError, match="'coupled', since the rate of 's' is not linear in the variables"
     ):

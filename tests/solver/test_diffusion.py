@@ -30,7 +30,7 @@ FLUX = {"left": nv.WallExchange(flux=0.05 * GROWN)}
 
 
 def both(parts, until):
-    """Ledgers by the split solver, which ``"auto"`` takes for 98 triangles, and by the coupled one."""
+    """Ledgers by the split solver, which ``"auto"`` chooses for 98 triangles, and by the coupled solver."""
     runs = [run_of(solver, **parts) for solver in ("auto", "coupled")]
     ledgers = [run.run(until=until) for run in runs]
     assert runs[0].mesh.ne == 98 and runs[0].solver.method == "split"

@@ -19,7 +19,7 @@ def swelling(A, c):
 
 
 def of_solute(dim):
-    """The potential changes with A and c, and a wall lets through."""
+    """A solute whose potential depends on A and c, with one permeable wall."""
     gel = nv.CustomMaterial(transported=(ReciprocalJacobian(), Concentration()), stored_energy=swelling)
     law = nv.Diffusion(variable="c", mobility=0.1, walls={"left": WALL})
     model = nv.Model(material=gel, viscosity=VISCOSITY, diffusion=law)

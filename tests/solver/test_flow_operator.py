@@ -29,7 +29,7 @@ def bodies(viscosity, bulk=10.0):
 
 @pytest.fixture
 def run(request):
-    """A box with fields at rest, linear v and density one, with the given flow rule or bodies."""
+    """A box at rest with density one, and with the given flow rule or bodies."""
     asked, viscosity = getattr(request, "param", None), nv.StokesViscosity(K_v=0.1, G_v=0.2)
     matter = {
         "material": nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
@@ -62,7 +62,7 @@ def run(request):
 
 
 def linear(run, expressions):
-    """Coefficients of a linear field in v's space, (dim, .), whatever the walls say."""
+    """Coefficients of a linear velocity, (dim, unknowns), without the conditions of walls."""
     vertices = np.array([vertex.point for vertex in run.mesh.vertices])
     result = np.zeros((2, run.solver.newton.residual.op.v.width))
     for row, values in zip(result, expressions(*vertices.T), strict=True):
@@ -120,8 +120,8 @@ def test_a_part_without_cells_is_linearised(run):
 
 @pytest.mark.parametrize("strain", [0.02, 0.2])
 def test_the_resolvent_by_its_series_is_the_inverse(run, strain, monkeypatch):
-    """The strains of a step are so small that the series has few terms, and larger; both leave at most
-    1e-4."""
+    """Small strains in a step need few terms of the series, larger strains more. Both leave an error of at
+    most 1e-4."""
     _, at, operator = prepared(run, strain * linear(run, lambda x, y: (x + 2 * y, -y)), 0.01)
     points = operator.points
     dz = np.random.default_rng(5).standard_normal((points.op.z.width, points.components))
@@ -147,7 +147,7 @@ def test_the_resolvent_by_its_series_is_the_inverse(run, strain, monkeypatch):
 
 @pytest.mark.parametrize("run", [None, "bodies"], indirect=True)
 def test_the_force_s_derivative_by_continuous_fields_is_exact(run, monkeypatch):
-    """A uniform state has a linear change, so that no facet contributes; phi'' is by differences.
+    """The state is uniform and its change linear, so that no facet contributes. Differences give phi''.
 
     Weight, inertia, convection and the balance of momentum change with the density of bodies; increments
     leave out the mass flux through facets.
@@ -180,7 +180,7 @@ def test_the_force_s_derivative_by_continuous_fields_is_exact(run, monkeypatch):
 
 @pytest.mark.parametrize("run", ["bodies", "cubic"], indirect=True)
 def test_the_field_equations_derivative_by_the_velocity_is_exact_also_at_jumps(run):
-    """Flows into a cell carry jumps of z; the fluxes of densities have the same derivative by v."""
+    """Inflow into a cell carries jumps of z. The derivative of the density fluxes by v has the same form."""
     v, rng = linear(run, lambda x, y: (0.3 + 2 * y - x, 0.1 + x + 0.5 * y)), np.random.default_rng(6)
     split, at, operator = prepared(run, v + 0.05 * rng.standard_normal(v.shape), 0.02)
     direction, z = np.zeros(len(at.x)), split.unknowns.slices["z"]
@@ -208,8 +208,8 @@ def test_the_derivative_of_conduction_is_exact_at_a_uniform_temperature(run):
 
 @pytest.mark.parametrize("run", [None, nv.Creep(G_m=4.0)], indirect=True)
 def test_the_fields_systems_are_solved_where_sweeps_alone_fail(run):
-    """dz and drho are recovered from their rows in a step with a strain of six tenths and a Courant number
-    of 2."""
+    """The solver recovers dz and drho from their rows, in a step with a strain of 0.6 and a Courant number of
+    2."""
     v = linear(run, lambda x, y: (1.2 * x - 0.5 * y, 0.5 * x - 1.2 * y))
     split, at, _ = prepared(run, v)
     slices, fields = split.unknowns.slices, split.preconditioner.fields

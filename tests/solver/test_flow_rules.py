@@ -19,7 +19,7 @@ F_0 = np.diag([1.3, 0.9, 1.1])
 
 @dataclass(frozen=True, kw_only=True)
 class Cubic(nv.FlowRule):
-    """Pi = A |M|^2 M, a rule of one's own."""
+    """A user's rule Pi = A |M|^2 M."""
 
     A: float
     nu: float = 0.0
@@ -69,7 +69,7 @@ def implicit_steps(rate, lengths, by_B):
 @pytest.mark.parametrize("solver", ["split", "coupled"])
 @pytest.mark.parametrize(("nu", "bodies"), [(0.0, False), (0.1, False), (0.0, True)])
 def test_a_user_s_flow_rule_follows_its_differential_equation(nu, bodies, solver):
-    """At a point a step of the rule is that of an ordinary differential equation."""
+    """The body is homogeneous, so that its steps are those of an ordinary differential equation."""
     run = stretched(Cubic(A=0.02, nu=nu), solver, bodies)
     ledger = run.run(0.04)
     names = ("B_left", "B_right") if bodies else ("H",)

@@ -21,7 +21,7 @@ LAWS = {"linear": {"H": 3.0}, "Voce": {"H": 1.0, "Q": 2.0, "b": 20.0}, "none": {
 
 
 def slope_and_energy(law, k):
-    """phi_h'(k) and phi_h(k), Pa, as the literature has them."""
+    """phi_h'(k) and phi_h(k), Pa, by the formulas of the literature."""
     H, Q, b = law.get("H", 0.0), law.get("Q", 0.0), law.get("b", 1.0)
     return H * k + Q * (1 - math.exp(-b * k)), H * k**2 / 2 + Q * (k - (1 - math.exp(-b * k)) / b)
 
@@ -46,7 +46,8 @@ def relaxed(law, A=1.0):
 
 @pytest.mark.parametrize(("name", "solver"), each_once(LAWS, ["split", "coupled"]))
 def test_the_yield_stress_grows_by_the_law_and_its_work_is_stored(name, solver):
-    """At a point a step is a scalar equation, and the ledger's entries follow from its solution."""
+    """In a homogeneous body a step is a scalar equation. The entries of the ledger follow from its
+    solution."""
     law = LAWS[name]
     model = nv.Model(
         material=nv.LinearElastic(K_e=10.0, G_e=G_E),
@@ -90,8 +91,8 @@ def body(name="one", **parts):
 
 @pytest.mark.parametrize("solver", ["split", "coupled"])
 def test_a_body_hardens_by_the_law(solver):
-    """All strains and stresses are a thousandth of those of ``relaxed``, so that the finite strains of the
-    body are small strains."""
+    """Strains and stresses are a thousandth of those of ``relaxed``, so that the body at finite strain
+    behaves as at small strains."""
     small, law = 1e-3, {"H": 1.0, "Q": 2.0, "b": 20.0}
     rule = nv.Perzyna(sigma_Y=small * SIGMA_Y, G_m=G_M, H=1.0, Q=small * 2.0, b=20.0 / small)
     material = nv.ReferentialNeoHookean(K_e=10.0, G_e=G_E / 2, elastic_state="B")

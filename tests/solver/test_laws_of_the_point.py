@@ -1,4 +1,4 @@
-"""Laws whose moduli depend on the values of the variables at a point, in both solvers."""
+"""Laws whose moduli depend on the state at a point, in both solvers."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ LAWS = {
     "power law with a gradient": {"creep": Cubic(A=0.1, nu=1e-3)},
 }
 LATER = ("creep", "linear hyperviscosity", "power law with a gradient")
-"""Laws whose solutions CI compares; the default suite compares the derivatives of all laws."""
+"""Laws for which only CI compares solutions. The default suite compares the derivatives of all laws."""
 UNIFORM = {
     "viscosity": {"viscosity": nv.StokesViscosity(K_v=0.1, G_v=0.1)},
     "hyperviscosity": {"hyperviscosity": nv.HyperViscosity(mu=1e-4, mu_1=1e-4)},

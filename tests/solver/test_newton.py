@@ -113,8 +113,8 @@ def test_too_many_iterations_are_reported() -> None:
 
 @pytest.mark.parametrize(("least", "status"), [(1e-3, Status.CONVERGED), (0.9, Status.STALLED)])
 def test_min_damping_is_the_smallest_step_tried(least: float, status: Status) -> None:
-    """From 10 the first increment for atan overshoots until it is divided by eight; with 0.9 the iteration
-    ends at a half."""
+    """The start is 10, where the first increment for atan overshoots unless it is divided by eight. If
+    min_damping is 0.9, the last attempt takes half of the increment."""
     solution = solve(newton(10.0, arc, min_damping=least)[0])
     assert solution.status is status
     assert min(line.damping for line in solution.history) == (0.125 if least == 1e-3 else 0.5)
@@ -124,7 +124,8 @@ def test_min_damping_is_the_smallest_step_tried(least: float, status: Status) ->
 
 
 def cancelling(size: float):
-    """The equation u - 1 with parts of ``size`` that cancel up to their rounding, size times 1e-16."""
+    """The equation u - 1 = 0, plus parts of ``size`` that cancel each other up to their rounding error, size
+    times 1e-16."""
     return lambda u: (u - 1) + (size * (u + 1) - size * u - size)
 
 

@@ -17,7 +17,7 @@ from ngvisco.reduced.residual import parts_of
 
 
 def solved(threads=1, points=None, monkeypatch=None, **parts):
-    """The state after two steps, cells taken ``points`` together."""
+    """The state after two steps, with parts of the mesh that have ``points`` points each."""
     if monkeypatch is not None:
         monkeypatch.setattr(residual, "TOGETHER", points)
     newton = nv.NewtonOptions(threads=threads)
@@ -82,7 +82,7 @@ def test_forces_on_sides_are_summed_part_by_part(monkeypatch):
 
 
 def test_values_at_points_are_freed_with_their_fields():
-    """A cycle of references would keep the values until Python collects cycles, once in some steps."""
+    """With a cycle of references, the values would remain in memory until Python's garbage collector runs."""
     mesh, what = box((1, 1), maxh=0.9), model()
     fields = Fields(nv.Simulation(mesh, what, dt=0.1, solver="split").rothe_step.layout, {})
     alive = ref(fields)

@@ -112,7 +112,8 @@ def test_increments_that_stall_below_the_tolerance_count_as_converged():
 
 
 def test_slow_convergence_is_not_taken_for_rounding():
-    """Increments that shrink by 7 % each are fourteen increments away from the solution."""
+    """If each increment is 7 % smaller than the one before, the sum of the remaining increments is fourteen
+    increments."""
     tolerance = NewtonOptions().tolerance
     found = Increments(lambda n: 10.0 ** (-3 * n - 1) if n < 3 else 2 * tolerance * 0.93**n)
     iterate(found, Posed(), [])
@@ -164,8 +165,8 @@ def test_large_increments_may_grow_for_a_while(smallest, gives_up):
 
 
 def test_a_nearly_incompressible_body_takes_a_step_of_many_wave_passages():
-    """The rounding of the energy on cells' sides had been a force without resistance, and the step was
-    divided."""
+    """In an earlier version, rounding of the energy on sides of cells was a force without resistance, so that
+    the step was divided."""
     eddy = (1 + 0.5 * sin(2 * pi * x) * cos(2 * pi * y), 0.5 - 0.5 * cos(2 * pi * x) * sin(2 * pi * y))
     model = nv.Model(
         material=nv.ReferentialNeoHookean(K_e=1e10, G_e=5e5, elastic_state="F"),

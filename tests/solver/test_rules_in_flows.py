@@ -1,4 +1,4 @@
-"""Every rule with every elastic state, solver, dimension and scheme: the ledger closes, M : Pi >= 0."""
+"""Every rule with every elastic state, solver, dimension and scheme: the ledger closes, and M : Pi >= 0."""
 
 from dataclasses import dataclass, replace
 from itertools import product
@@ -62,7 +62,8 @@ GRADIENTS = {"Norton, n = 3": 1e-9, "Eyring": 1e-9, "Bingham": 1e-3, "Voce": 1e-
 @pytest.mark.ci
 @pytest.mark.parametrize("name", GRADIENTS)
 def test_rules_with_a_gradient_close_the_ledger_in_both_solvers_alike(name):
-    """A rule that yields does so in a part of the box; the rest creeps more slowly than ``rate_floor``."""
+    """Rules with a yield stress yield in a part of the box only. The rest creeps more slowly than
+    ``rate_floor``."""
     powers = []
     for solver in ("split", "coupled"):
         run = sheared(replace(EXAMPLES[name], nu=1e-4, rate_floor=GRADIENTS[name]), MATERIALS["B"], solver)
@@ -100,7 +101,7 @@ QUICK = {("yield", "B", "split", 2), ("yield", "F", "coupled", 2), ("linear", "F
     ],
 )
 def test_stiff_creep_is_solved_in_few_iterations(name, material, solver, dim):
-    """The steps are whole, from the first one on, in which all of the lid's stress has to relax."""
+    """No step is divided, although the whole stress by the lid has to relax in the first step."""
     ledger = sheared(STIFF[name], MATERIALS[material], solver, dim).run(0.06)
     assert len(ledger.column("time")) == 4 and not ledger.column("rejections").any()
     assert abs(ledger.column("closure_relative")).max() <= 1e-10
@@ -122,7 +123,8 @@ def test_yield_has_a_rate_independent_limit(material, solver):
 
 
 def test_the_preconditioner_of_newton_krylov_is_linear():
-    """GMRES in Newton-Krylov requires more digits of the preconditioner than a single increment does."""
+    """GMRES in Newton-Krylov needs a preconditioner that is linear to more digits than a single increment
+    needs."""
     run = sheared(nv.Perzyna(sigma_Y=0.5, G_m=1e-6), MATERIALS["E"])
     run.advance()
     split = run.solver.newton

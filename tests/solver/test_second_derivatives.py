@@ -57,7 +57,7 @@ def test_hessian_is_the_difference_of_the_slope(energy: Callable[..., Tensor], k
 
 
 def gradient_s_derivative(phi: Tensor, variables: Values, along: Values) -> dict[str, Tensor]:
-    """The order of derivatives that NGSolve gives wrongly."""
+    """Derivatives in the order for which NGSolve has a wrong second derivative."""
     slopes = {name: phi.Diff(variable) for name, variable in variables.items()}
     return {
         name: sum((slope.Diff(variables[other], along[other]) for other in along), 0 * slope)

@@ -47,8 +47,9 @@ def residual(run):
 def by_tolerance(run, draws=1):
     """Bounds of the changes of rows by increments as large as the solver's tolerance, block by block.
 
-    An iteration that ends with such an increment leaves rows as large as stiffness times increment.  For
-    random increments d of one length, |J d| is |J|_F |d|/sqrt(n) in the mean, and at most |J|_F |d|.
+    If an iteration ends with such an increment, the rows that it leaves have the size of stiffness times
+    increment.  For random increments d of one length, |J d| is |J|_F |d|/sqrt(n) in the mean, and at most
+    |J|_F |d|.
     """
     state, rng = run.rothe_step.state.vec.FV().NumPy(), np.random.default_rng(0)
     solution, before, changes = state.copy(), residual(run), []

@@ -59,7 +59,8 @@ def first_step(run):
 @pytest.mark.usefixtures("double_precision")
 @pytest.mark.parametrize(("k", "p"), [(2, 4.0), (3, 4.0), (2, 2.0), (2, 3.5)])
 def test_hyperviscosity_s_derivative_is_that_of_its_rows(k, p):
-    """An exception is the rule that integrates the penalty's derivative, if this is no polynomial."""
+    """The derivative of the penalty is integrated by its own rule, which is not exact if this derivative is
+    no polynomial."""
     run = simulation(hyperviscosity=nv.HyperViscosity(mu=1e-3, p=p), discretisation=nv.Discretisation(k=k))
     run.advance()
     split = run.solver.newton
@@ -81,7 +82,7 @@ def test_hyperviscosity_s_derivative_is_that_of_its_rows(k, p):
 @pytest.mark.ci
 @pytest.mark.parametrize("speed", [1.0, 3e3])
 def test_single_precision_takes_as_many_iterations(speed, monkeypatch):
-    """One body moves fast as a whole, so that jumps and strains are small differences of its velocity."""
+    """One body moves fast as a whole, so that jumps and strains are small differences of large velocities."""
 
     def iterations():
         run = simulation(
@@ -96,7 +97,7 @@ def test_single_precision_takes_as_many_iterations(speed, monkeypatch):
 
 
 def in_units_of(length, density, seconds, newton=None):
-    """The swirl with these units, of a box of 1 in them."""
+    """The swirl in a box of size 1, in the given units."""
     modulus = density * (length / seconds) ** 2
     model = nv.Model(
         material=nv.NeoHookean(
@@ -231,8 +232,8 @@ def systems(run):
 
 
 def test_the_whole_tangent_is_factorised_if_two_levels_fail():
-    """The tangent is factorised for the rest of the step, if it has few enough unknowns; the next step
-    begins with two levels."""
+    """The whole tangent is factorised for the rest of the step if it is small enough. The next step begins
+    with two levels again."""
     few = SplitOptions(direct_up_to=(0, 0), flow_iterations=3)
     runs = [
         simulation(newton=nv.NewtonOptions(split=options))
@@ -314,8 +315,8 @@ def test_wall_stresses_add_few_iterations_to_two_levels():
 @pytest.mark.long
 @pytest.mark.ci
 def test_sweeps_follow_the_courant_number_and_no_step_is_retried():
-    """Newton's increments need more than three sweeps of the transport, and solutions of the fields'
-    systems."""
+    """At large Courant numbers increments need more than three sweeps of the transport, and solutions of the
+    systems of the fields."""
     run = simulation(mesh=box((1, 1), maxh=0.2, periodic="x"), speed=300.0, dt=1e-3)
     rows = [run.advance() for _ in range(2)]
     assert rows[0]["cfl"] > 1.9 and min(row["cfl"] for row in rows) > 1.5

@@ -11,8 +11,8 @@ from ngvisco.geometries import structured_box
 
 
 def start(place, solver):
-    """A run in which B_33 = |x - place| - 0.01 is negative on a row of facets and positive 0.03 m beside it;
-    and the coefficients of B_33, in this state and at rest."""
+    """A run in which B_33 = |x - place| - 0.01 is negative on a row of facets and positive 0.03 m away; also
+    the coefficients of B_33 in this state and at rest."""
     model = nv.Model(
         material=nv.OldroydB(K_e=20.0, G_e=1.0),
         viscosity=nv.StokesViscosity(K_v=1.0, G_v=1.0),

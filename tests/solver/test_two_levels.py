@@ -58,8 +58,8 @@ def test_smoothing_sweeps_reduce_errors_by_the_chebyshev_polynomial():
 
 
 def test_vertices_and_edges_are_solved_together():
-    """With the cosine 1/2 of the angle between vertices and edges, exact solutions of both blocks leave 1/4
-    of an error in the energy's norm; the polynomial adds at most 1/T_3(9/7) = 0.215."""
+    """The spaces of vertices and edges meet at an angle with the cosine 1/2. Exact solutions of both blocks
+    then leave 1/4 of an error in the energy norm. The polynomial adds at most 1/T_3(9/7) = 0.215."""
     fine, coarse, rng = 40, 10, np.random.default_rng(4)
     turned = np.linalg.qr(rng.standard_normal((fine, fine)))[0]
     among_fine = turned @ np.diag(np.linspace(1.0, SMOOTHED, fine)) @ turned.T

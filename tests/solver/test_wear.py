@@ -56,7 +56,8 @@ def test_renewals_cost_at_most_twice_the_least_cost():
 
 
 def test_a_slow_tangent_is_renewed_before_the_iteration_has_become_long():
-    """A new tangent contracts by 1e-3, and costs 30 directions; an increment costs 8, with its residual."""
+    """Increments by a new tangent contract by 1e-3. A tangent costs 30 directions, and an increment with its
+    residual costs 8."""
     wear = Wear(COST)
     wear.count(2)
     wear.rate(1e-3, is_new=True)
@@ -75,9 +76,9 @@ def test_a_slow_tangent_is_renewed_before_the_iteration_has_become_long():
 
 
 def test_an_increment_by_a_worn_tangent_is_computed_anew_at_once(monkeypatch):
-    """Every contraction counts as slow here.  If an increment shows that the tangent is worn, the tangent is
-    renewed without a further residual. The contraction by the old tangent does not count for the new
-    tangent."""
+    """In this test every contraction counts as slow. If an increment shows that the tangent is worn, the
+    tangent is renewed before another residual is computed. The contraction by the old tangent does not count
+    for the new tangent."""
     worn = SplitOptions(renewed_above=1e9, stale_above=1e-12)
     run, events = swirling(0.3, 0.02, solver="split", newton=nv.NewtonOptions(split=worn)), []
 

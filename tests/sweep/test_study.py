@@ -88,7 +88,8 @@ def test_failures_are_listed_and_finished_runs_are_not_run_again(case_file, tmp_
 
 
 def test_the_table_keeps_rows_of_runs_that_another_command_made(case_file, tmp_path):
-    """Rows stay, whether the keys are the same or others, except for runs whose case file was removed."""
+    """Rows stay if the second command varies the same keys, and if it varies others. Rows of runs without a
+    case file are removed."""
     directory = tmp_path / "study"
     for key, values in (("material.G_e", ("1", "2")), ("time.dt", ("0.01",))):
         study = Study(case_file, [Variation(key, values)], directory)
@@ -168,7 +169,7 @@ def test_a_study_that_is_killed_leaves_no_run_behind(case_file, tmp_path):
 
 
 def test_a_run_that_ended_early_is_listed_as_stopped(case_file, tmp_path):
-    """The run may be left by ``ngvisco run``, or by a study with an earlier end of the same run."""
+    """The run was made by ``ngvisco run``, or by a study with an earlier end time."""
     out, words = tmp_path / "study", ["--vary", "material.G_e=1"]
     place = out / "material.G_e=1"
     assert main(["run", str(case_file), "-o", str(place), "--set", "material.G_e=1"]) == 0
@@ -206,7 +207,7 @@ def test_the_command_names_a_missing_extra(case_file, tmp_path, capsys, monkeypa
 
 @pytest.mark.parametrize("address", ["nowhere", "tcp://nowhere", "tls://nowhere:", "nowhere:port"])
 def test_an_address_without_a_port_is_refused_before_a_client_is_made(monkeypatch, address):
-    """A client that does not connect raises another error when it is collected."""
+    """Python would raise another error when it deletes a client that has not connected."""
     made = []
     monkeypatch.setattr("distributed.Client", lambda *words, **options: made.append(words))
     with pytest.raises(SweepError, match="tcp://host:8786"), connected(address, 1):

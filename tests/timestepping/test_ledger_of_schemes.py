@@ -48,7 +48,8 @@ WALLS_BY_DEFAULT = (
     ("accelerated lid", "sdirk2", "split"),
     ("traction with friction", "midpoint", "split"),
 )
-"""Walls and tractions that change in time, of which schemes take other means; CI has all."""
+"""Walls and tractions of the default suite. They change in time, and schemes differ in their means over time.
+CI tries all."""
 
 
 @pytest.mark.parametrize(
@@ -122,7 +123,8 @@ IN_SPACE = {"mesh": box((1, 1, 1), maxh=2), "until": 0.02}
     ],
 )
 def test_ledger_closes(scheme, options):
-    """The runs have a Yosida approximation, three dimensions, and a user's tableaux."""
+    """The runs are one with a Yosida approximation, one in three dimensions, and those with a user's
+    tableaux."""
     options = {"until": 0.04} | options
     until = options.pop("until")
     closes(simulation(scheme=scheme, **options), until)

@@ -1,5 +1,4 @@
-"""Runs whose steps end out of bounds at points: they are limited, with a closed ledger, or end if so
-requested."""
+"""Steps that end out of bounds at points: the limiter restores the bounds, or the run ends on request."""
 
 import contextlib
 from functools import partial
@@ -77,7 +76,7 @@ def thin_out(run):
 
 @pytest.mark.parametrize("scheme", ["midpoint", *(pytest.param(s, marks=pytest.mark.long) for s in OTHERS)])
 def test_velocity_is_that_of_the_limited_density_and_momentum(scheme):
-    """The test compares all rows of v that no wall prescribes."""
+    """The test compares the equations of all unknowns of v that no wall prescribes."""
     run = cavity(scheme=scheme, mesh=coarse())
     run.run(2 * DT)
     thin_out(run)
@@ -155,8 +154,8 @@ def squeezed(material, speed, dt):
 @pytest.mark.long
 @pytest.mark.filterwarnings("ignore::ngvisco.run.signs.DissipationWarning")  # cells of a sixth of the box
 def test_J_of_a_fluid_passes_zero_by_its_motion_and_comes_back():
-    """J passes zero with J_min; without J_min the limiter keeps the J of the same fluid above zero, or the
-    run ends."""
+    """With J_min, J passes zero. Without J_min, the limiter keeps J of the same fluid above zero, or the run
+    ends."""
     ledger = squeezed(nv.BarotropicFluid(B=0.1, gamma=1.4, J_min=0.3), 2.5, 0.05).run(6 * 0.05)
     J = ledger.column("J_min")
     assert J[0] == pytest.approx(1.0) and J[1] > 0.3 and J[2:5].min() < -0.1 and J[-1] > 0.1
@@ -168,7 +167,8 @@ def test_J_of_a_fluid_passes_zero_by_its_motion_and_comes_back():
 
 
 def test_a_variable_without_effect_on_the_energy_never_ends_a_run():
-    """The F of a fluid is turned inside out; a solid with such an F cannot start."""
+    """The energy of a fluid does not depend on F, which has a negative determinant here. A solid with such an
+    F cannot start."""
     fluid = nv.CustomMaterial(
         transported=(Distortion(), Jacobian()), stored_energy=lambda F, J: 10 * (J - 1) * (J - 1)
     )

@@ -1,7 +1,8 @@
 """Second order in time of v, rho and z: all materials, loads and lids that change in time, passive fields.
 
 One mesh, steps tau, tau/2, tau/4: successive differences fall by 4.  The upwinding is smooth here (eta = 0.3
-m/s): where v.n changes sign within a facet the sharp one makes the equations in time only piecewise smooth.
+m/s): with sharp upwinding the equations in time would only be piecewise smooth, since v.n changes its sign
+within facets.
 """
 
 import math

@@ -10,7 +10,7 @@ from ngvisco.timestepping.scheme import SCHEMES, TimeScheme, scheme_of
 ALL = [scheme_of(name, 0.7 if name == "theta" else None) for name in SCHEMES]
 CROUZEIX = (3 + math.sqrt(3)) / 6
 THIRD = TimeScheme("crouzeix", ((CROUZEIX, 0.0), (1 - 2 * CROUZEIX, CROUZEIX)), (0.5, 0.5))
-"""Crouzeix' two-stage scheme of order three, as one that a user might give."""
+"""Crouzeix' two-stage scheme of order three, an example of a user's tableau."""
 
 
 def taken(scheme, f, u, tau, newton):
@@ -24,8 +24,8 @@ def taken(scheme, f, u, tau, newton):
 
 @pytest.mark.parametrize("scheme", [*ALL, THIRD], ids=str)
 def test_stages_take_the_whole_impulse_of_a_load(scheme):
-    """With one stage, all times have the same weight. If a load is linear in time, a scheme of order 2 takes
-    its value at the stage."""
+    """A scheme with one stage takes the plain mean of a load over the step. For a load linear in time, a
+    scheme of order 2 takes the value at the time of the stage."""
     tilts = np.array(scheme.tilts)
     assert abs(tilts @ scheme.b) <= 1e-15
     assert scheme.stages > 1 or tilts == 0
@@ -34,7 +34,7 @@ def test_stages_take_the_whole_impulse_of_a_load(scheme):
 
 
 def solve(f, start, s):
-    """U = start + s f(U) of scalars, by the secant's limit."""
+    """Solve U = start + s f(U) for a scalar U, by the secant method."""
     u = start
     for _ in range(200):
         u = start + s * f(u)

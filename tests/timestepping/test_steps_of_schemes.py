@@ -164,7 +164,8 @@ def test_a_negative_density_at_the_end_of_a_step_is_refused(monkeypatch):
 
 
 def shear_modes(scheme, startup=0):
-    """Kinetic energy of a velocity that jumps between cells, after ten steps a thousand times too long."""
+    """The kinetic energy of a short shear wave after ten steps that are a thousand times as long as its decay
+    time."""
     rough = IfPos(sin(40 * x) * sin(37 * y), 1.0, -1.0)
     run = simulation(
         dt=1.0,
@@ -308,8 +309,8 @@ def test_energy_lost_in_a_transfer_is_not_attributed_to_the_scheme():
 
 
 def test_relaxed_steps_end_at_their_times_beside_an_accelerating_wall():
-    """omega is no more exact than the solution of the Rothe step; before, steps were halved until no length
-    remained."""
+    """The factor omega is only as exact as the solution of the Rothe step. In an earlier version steps were
+    halved without end."""
     stepping = nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.04)
     lid = nv.PrescribedTangential((sin(20 * nv.time) * x * (1 - x), 0))
     run = small_run(
@@ -326,7 +327,7 @@ def test_relaxed_steps_end_at_their_times_beside_an_accelerating_wall():
 
 @pytest.mark.parametrize("scheme", ["backward-euler", "midpoint", "sdirk2"])
 def test_the_estimate_is_the_local_error_of_the_scheme(scheme):
-    """The last value of a density 1 + t^(p+1) at unequal steps is wrong by C tau^(p+1) (p+1)!."""
+    """For a density 1 + t^(p+1) and unequal steps, the error of the last step is C tau^(p+1) (p+1)!."""
     run = simulation(scheme=scheme)
     chosen, step = run.scheme, run.rothe_step
     p, where = chosen.order, step.layout.ranges["rho"]
