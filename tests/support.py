@@ -298,7 +298,7 @@ A_FALL = '[[loads]]\nkind = "Gravity"\ng = [0, -1]\n'
 A_SWIRL = '[initial]\nvelocity = ["sin(pi*x)*cos(pi*y)", "-cos(pi*x)*sin(pi*y)"]\n'
 TWO_STEPS = "[time]\ndt = 0.02\nuntil = 0.04\n"
 NO_VTK = "[output.vtk]\nenabled = false\n"
-"""Further tables of a case file, in which no VTK files are written."""
+"""Further tables of a case file: gravity, a swirl, two steps, and no VTK files."""
 OF_MODELS, OF_STARTS = ({field.name for field in fields(given)} for given in (nv.Model, nv.Initial))
 
 

@@ -2,10 +2,10 @@
 
 ``python -m tests.verification -o report/`` runs all cases.  A case states its bounds before it runs
 (``case.Case``); ``runner`` runs it and ``report`` writes its results.  Each module of ``verification.cases``
-has the cases of one theme; tests share ``manufactured``, ``convergence`` and ``setups``.
+has the cases of one theme. Cases and tests share ``manufactured``, ``convergence`` and ``setups``.
 
-Cases run on one thread: NGSolve's further threads wait actively, which takes ten times as long beside other
-work, and processor time counts the wait.
+Cases run on one thread. Further threads of NGSolve would wait actively: beside other work a case would take
+ten times as long, and the wait would count as processor time.
 """
 
 import os

@@ -1,8 +1,9 @@
 """Bounds on measured numbers.
 
-A physical number (a height, a frequency, a coefficient of restitution) has a bound on both sides: a one-sided
-bound passes with any value on the other side.  A bound may be one-sided only if its quantity is of one of
-``KINDS``; each kind says why there is no other side.  Words in the quantity's name tell the kind.
+A physical number (a height, a frequency, a coefficient of restitution) has a bound on both sides, since a
+one-sided bound admits any value on the other side.  A bound may be one-sided only if its quantity is of one
+of ``KINDS``; each kind states why the other side needs no bound. Words in the name of the quantity determine
+its kind.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ Limit = float | tuple[float, float]
 
 
 class VerificationError(NgviscoError, RuntimeError):
-    """A case measured other quantities than its bounds have, or a report cannot be written."""
+    """The measured quantities of a case are not those of its bounds, or a report cannot be written."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,7 @@ class Kind:
     reason: str
 
     def has(self, quantity: str, relation: Relation) -> bool:
-        """Whether a bound with this relation on this quantity is of the kind."""
+        """Whether the kind contains bounds with this relation on this quantity."""
         return relation == self.relation and re.search(rf"\b(?:{self.words})\b", quantity) is not None
 
 

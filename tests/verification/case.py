@@ -1,7 +1,7 @@
 """Verification cases, their outcomes, and the judgement.
 
-A case states its bounds before it runs: they stand in the code, beside its statement.  ``run`` measures;
-``judge`` compares, and can neither drop a bound nor add one.
+A case states its bounds before it runs: the bounds stand in the code, beside the claim of the case.  ``run``
+measures; ``judge`` compares, and can neither drop a bound nor add one.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from tests.verification.bounds import Bound, VerificationError, parsed
 
 @dataclass(frozen=True)
 class Table:
-    """A table of the report; ``columns`` may be one text, "a | b"; cells are texts or numbers."""
+    """A table of the report. Columns may be given as one text, "a | b"; cells are texts or numbers."""
 
     title: str
     columns: Sequence[str]
@@ -42,7 +42,8 @@ class Table:
     ) -> Iterator[Table | Plot]:
         """Yield the table, and a picture of the columns ``of`` over the column ``x``, or over the row number.
 
-        With ``by`` each value in this column has its own curves; columns of exact values are dashed.
+        If ``by`` is given, each value in the column ``by`` has its own curves. Columns of exact values are
+        dashed.
         """
         yield self
         groups: dict[str, list[list[Any]]] = {}
@@ -114,7 +115,7 @@ class RateTable:
         return float(self.rates(name)[-1])
 
     def lasts(self, quantity: str = "rate of {}") -> list[tuple[str, float]]:
-        """The rate of the finest pair of sizes for every column, with the quantity that names the column."""
+        """The rate of the finest pair of sizes for every column, with the name of the column's quantity."""
         return [(quantity.format(name), self.last(name)) for name in self.errors]
 
     def require(self, **least: float) -> None:
@@ -231,7 +232,7 @@ class Cases(list[Case]):
         - error of the quantity <= 1e-3: one side, for the kinds of ``bounds.KINDS``
         - rate of [v; rho] >= 0.9: two bounds, one for each name in the brackets
         - closure
-        explanation: reason why a bound is known to fail; printed with the failure, which remains one
+        explanation: reason why a bound is known to fail; the report prints it beside the failure
 
     A line that does not begin like one of these continues the line before it.  ``closure`` and ``drift`` are
     the bounds ``CLOSURE`` and ``DRIFT``, which ``runner.run_case`` measures on all runs of a case.  ``theme``
@@ -285,7 +286,7 @@ class Result:
     failed: Sequence[str] = field(default_factory=list)
 
     def to_json(self) -> str:
-        """Text that ``from_json`` reads back; not-a-number and infinite values included."""
+        """Text that ``from_json`` reads back, also with values that are not finite."""
         return json.dumps(asdict(self), ensure_ascii=False, indent=1)
 
     @staticmethod

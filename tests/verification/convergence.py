@@ -31,7 +31,7 @@ from tests.verification.setups import balls, distance, refinements, square_mesh
 
 KINDS = ("linear", "neo-hookean")
 FURTHER = ("by B", "cofactors", "Yosida", "Yosida, quartic", "with heat", "two bodies")
-"""Materials of other variables: B = F F^T, with another law of creep; Cof F beside F and J; Yosida
+"""Materials with other variables: B = F F^T, also with another law of creep; Cof F beside F and J; Yosida
 approximations of the neo-Hookean energy, and of an energy that grows faster than E squared; A and the
 entropy; densities of two bodies that share every point."""
 HEAT_CAPACITY, THETA_R, GRUNEISEN, CONDUCTIVITY = 1.5, 1.2, 0.8, 0.25

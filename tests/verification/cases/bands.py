@@ -1,4 +1,5 @@
-"""A shear band of frictional matter, and necks of a power-law layer: an angle and rates against theory."""
+"""A shear band of frictional matter and necks of a power-law layer: the angle and the growth against
+theory."""
 
 import math
 
@@ -27,12 +28,13 @@ principal value of the deviator over sqrt(J_2), which vanishes with plastic flow
 LENGTH, HEIGHT, SEED = 2.0, 1.0, 0.1
 """Length and height of the block and the seed's radius, m."""
 BULK, SHEAR, FRICTION, G_M = 1000.0, 500.0, 30.0, 10.0
-"""Moduli, Pa, angle of friction, degrees, viscosity of the stress above the strength, Pa s; cohesion 1 Pa."""
+"""Moduli, Pa, angle of friction, degrees, and viscosity of plastic flow above the strength, Pa s; the
+cohesion is 1 Pa."""
 RATE, DT, END = 1e-3, 0.1, 7.5
 """Rate of the shortening, 1/s; step, s; time at which a run without a band is given up, s."""
 STIFF = 1e4
-"""Impedance of the dashpot with which the wall pushes, Pa s/m: the stress over it is the error of the
-velocity."""
+"""Impedance of the dashpot with which the wall pushes, Pa s/m. The stress over the impedance is the error of
+the wall's velocity."""
 DENSITY = 0.01
 ROSCOE, COULOMB = 45.0, 45.0 - FRICTION / 2
 AT = np.linspace(0.25, 0.85, 25)
@@ -142,17 +144,18 @@ medium has dA/dt = (n - 1) e A for small k h; with n = 1 it does not neck.
 """
 
 WAVE, TOP, FIRST = 0.9, 3.5, 0.02
-"""k h, the distance of the moving wall from the layer's middle, and A, m; h = 1 m, e = 1/s, eta = 1 Pa s."""
+"""Wave number k h, distance of the moving wall from the layer's middle, m, and initial amplitude A, m; h = 1
+m, e = 1/s, eta = 1 Pa s."""
 HALF = math.pi / WAVE
 ELASTIC, RHO, LIGHTER = 1000.0, 1e-3, 1e-2
-"""Shear modulus over the layer's viscosity times e; density of the layer, kg/m^3; ratio of the medium's to
-it."""
+"""Shear modulus over the layer's viscosity times e; density of the layer, kg/m^3; density of the medium over
+that of the layer."""
 LAYERS = (1.0, 50.0), (3.0, 50.0), (10.0, 50.0), (5.0, 20.0)
 """Pairs of n and R."""
 CELLS, TAU, STEPS, FROM = (0.25, 0.125), 1e-3, 10, 5
 """Cells, m; step, s; number of steps; the growth is measured after ``FROM`` steps."""
 DASHPOT = 1e5
-"""Impedance of the right wall, Pa s/m: the stress over it is the error of the wall's velocity."""
+"""Impedance of the right wall, Pa s/m. The stress over the impedance is the error of the wall's velocity."""
 
 
 def growth(

@@ -118,8 +118,8 @@ def _clamped(
 ) -> tuple[nv.Simulation, nv.Bodies]:
     """Run until a time, s, and return the run and its table.
 
-    A bar of length and height ``bar`` about the height ``middle``, m, is clamped at the left wall of a box.
-    ``of_bar`` and ``of_medium`` are the keyword arguments of the bodies."""
+    A bar is clamped at the left wall of a box: ``bar`` has its length and height, m, and ``middle`` is the
+    height of its axis, m. ``of_bar`` and ``of_medium`` are the keyword arguments of the bodies."""
     (length, thick), table = bar, nv.Bodies()
     where = nv.Block((-length, middle - thick / 2), (length, middle + thick / 2))
     bodies = nv.Body(name="bar", where=where, **of_bar), nv.Body(name="medium", **of_medium)

@@ -1,6 +1,6 @@
 """A compressed column buckles: in a light medium, and on a mesh of the column alone between open walls.
 
-A column of height h and density rho under the thrust P deflects as exp(s t) cos(k x), with
+A column of thickness h and density rho under the thrust P deflects as exp(s t) cos(k x), with
 
     rho h s^2 = c P k^2 - E' h^3/12 k^4,    E' = E/(1 - nu^2) in plane strain,
 
@@ -42,7 +42,7 @@ TAU, STEPS = 0.15 / math.sqrt(BENT), 16
 SMALL, LARGE = 1e-6, 2e-3
 """Velocities of the middle, m/s; the deflections in a second of sqrt(BENT) are 2e-5 and 0.04 m."""
 SURFACE = {"edges of cells": 0.0, "middles of cells": 0.5}
-"""How far the column lies above a symmetric place, in cells."""
+"""Shift of the column from the symmetric place, in cells."""
 
 
 def _compressed(load: float) -> np.ndarray:
@@ -96,8 +96,8 @@ def _column(load: float, speed: float, shift: float | None) -> nv.Simulation:
 def _deflecting(load: float, speed: float, shift: float | None) -> tuple[np.ndarray, np.ndarray]:
     """Times in units of 1/sqrt(BENT), and the middle's velocity over the first one.
 
-    The velocity is half of the difference of two runs that start in opposite directions: the cells' diagonals
-    make small forces, which are the same in both runs."""
+    The velocity is half of the difference of two runs that start in opposite directions. This difference does
+    not contain the small forces of the cells' diagonals, which are the same in both runs."""
     sign = np.array([1.0, -1.0])
     runs = [_column(load, s * speed, shift) for s in sign]
     height = 0.0 if shift is None else THICK * (1 + shift / CELLS[1])

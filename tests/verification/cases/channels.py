@@ -1,4 +1,5 @@
-"""An Oldroyd-B fluid in a channel: its start-up, and past a cylinder that blocks half of it."""
+"""An Oldroyd-B fluid in a channel: the start-up of its flow, and its flow past a cylinder that blocks half of
+the channel."""
 
 import math
 from dataclasses import dataclass
@@ -128,8 +129,8 @@ PUBLISHED = {0.3: 123.193, 0.4: 120.596, 0.5: 118.836, 0.6: 117.775}
 """Published drag, N/m, by Wi (Hulsen, Fattal and Kupferman 2005)."""
 NEWTONIAN = 132.358
 LARGEST = 0.7, 117.357
-"""Wi and drag, N/m, of rheoTool's tutorial Cylinder/Oldroyd-BLog, by the guide that its issue 36 quotes; the
-issue's reporter has 117.649."""
+"""Wi and drag, N/m, of rheoTool's tutorial Cylinder/Oldroyd-BLog, from the guide that rheoTool's issue 36
+quotes. The reporter of the issue computed 117.649."""
 SIZES = (1.6, 1.2, 1.0)
 """Sizes of cells of three meshes over those of ``half_channel``."""
 LENGTHS = (-4.0, -2.0, 4.0, 8.0)
@@ -142,8 +143,8 @@ Modes = tuple[tuple[float, float], ...]
 
 
 def half_channel(size: float = 1.0) -> Mesh:
-    """The channel's upper half, with cells of 0.07 m at the cylinder, 0.25 m near it at wall and axis, else
-    0.8 m, all times ``size``."""
+    """The channel's upper half. Cells have 0.07 m at the cylinder, 0.25 m at wall and axis near the cylinder,
+    and 0.8 m elsewhere; ``size`` multiplies all these sizes."""
     outline = WorkPlane().MoveTo(LENGTHS[0], 0.0)
     for s in LENGTHS[1:]:
         outline.LineTo(s, 0.0)

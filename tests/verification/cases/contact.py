@@ -1,10 +1,10 @@
 """A soft cylinder that lies on a rigid plane: Hertz's line contact through a light gas.
 
-No code treats contact: the gas between the body and the wall is pressed together until it bears the body. A
-cylinder of radius R with the load W per length touches a plane in a strip of half-width a = sqrt(4 W R/(pi
-E')), E' = E/(1 - nu^2), under the pressure p = 2 W/(pi a) sqrt(1 - (x/a)^2) (Hertz 1881). Before the contact,
-the gap is x^2/(2 R). A cell that the surface crosses bears a part of the load. Therefore the cells at the
-wall have to be lower than the gap at x = a, R (a/R)^2/2.
+Contact needs no code: the gas between the body and the wall is compressed until it bears the body. A cylinder
+of radius R with the load W per length touches a plane in a strip of half-width a = sqrt(4 W R/(pi E')), E' =
+E/(1 - nu^2), under the pressure p = 2 W/(pi a) sqrt(1 - (x/a)^2) (Hertz 1881). Before the contact, the gap is
+x^2/(2 R). A cell that the surface crosses bears a part of the load. Therefore the cells at the wall have to
+be lower than the gap at x = a, R (a/R)^2/2.
 """
 
 import math
@@ -37,9 +37,10 @@ STEP, LAID, END = 0.5, 1.0, 3.0
 
 
 def _columns(run: nv.Simulation) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Middles and widths, m, of the wall's cells, and the pressure -sigma_22 on them, Pa, in half a body.
+    """Middles and widths, m, of the cells at the wall, and the pressure -sigma_22 on these cells, Pa, for
+    half a body.
 
-    The mean over both triangles of a rectangle has the load of the wall.
+    The mean pressure over both triangles of a rectangle gives the load on the wall.
     """
     mesh = run.mesh
     stress = run.fields["cauchy_stress"] + run.fields["viscous_stress"]
@@ -107,11 +108,13 @@ def _pressed() -> Measured:
 BLOCK, GAP, WIDTH, ROWS = 0.3, 0.06, 0.15, 10
 """Height of the block and of the gas below it, m; width, m, and rows, of 0.05 m, of the box."""
 PRESSED, PULL, PARTED, WEIGHT = 2.5, 0.3, 3.5, 0.1
-"""The block weighs ``WEIGHT``, Pa, until ``PRESSED``, s; then ``PULL`` of it acts upwards, to ``PARTED``."""
+"""The block presses on the wall by ``WEIGHT``, Pa, until ``PRESSED``, s; then ``PULL`` times this weight acts
+upwards until ``PARTED``, s."""
 
 
 def _block(parts: bool) -> tuple[float, float, float]:
-    """Forces of the wall over the weight, pressed and at the end, and the block's rise, m."""
+    """The force of the wall over the weight, while the block is pressed and at the end, and the rise of the
+    block, m."""
     pulled = PULL * IfPos(nv.time - PRESSED - 0.5, 1.0, 2 * (nv.time - PRESSED))
     load = IfPos(nv.time - PRESSED, pulled, -IfPos(nv.time - 1, 1.0, nv.time))
     gas = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: LIGHT * (J - 1) * (J - 1) / J)

@@ -1,4 +1,4 @@
-"""Elastic discs: two discs meet, bodies without a load gain no energy, a jelly drops."""
+"""Elastic discs: two discs that meet, bodies without a load, which gain no energy, and a jelly that drops."""
 
 import math
 import warnings
@@ -29,9 +29,10 @@ from tests.verification.setups import SWIRL, fluid, stokes
 CASES = Cases("Bodies and their interfaces")
 
 # --- two discs that meet -------------------------------------------------------------------------------
-"""There is one velocity field. Its continuity keeps two bodies apart, and they can part because the film of
-the medium between them opens again. Half a turn about the middle maps the mesh, and the motion, to itself:
-momenta and places of both discs are opposite to rounding, until limiters decide differently at a threshold.
+"""All bodies share one velocity field, whose continuity keeps two bodies apart. Two bodies can part because
+the film of the medium between them opens again. Half a turn about the middle maps the mesh, and the motion,
+to itself: momenta and places of both discs are opposite to rounding, until limiters decide differently at a
+threshold.
 """
 
 SIZE, CELLS, RADIUS = (1.4, 0.8), (14, 8), 0.21
@@ -183,11 +184,10 @@ def quarter(
 
 
 def mixed(run: nv.Simulation, body: str) -> float:
-    """The energy of shear that belongs to the size of a body's X alone, J/m.
+    """The least energy of shear of a body's X with the given det X, J/m.
 
-    It is the least energy of shear for the given det X. A deformation keeps det X = n^3, for which this
-    energy vanishes. Only averages of X of different strains have such an energy, and no motion gives it
-    back."""
+    A deformation keeps det X = n^3, for which this energy vanishes. Only averages of X over different strains
+    have such an energy. No motion releases it."""
     material, z = run.model.material, run.rothe_step.now.z_tensors
     assert isinstance(material, Mixture)
     size = Det(z[material.contents(body)[0].name])
@@ -256,7 +256,7 @@ def _bounce() -> Measured:
 
 
 THINNER, DENSER = (4e-7, 2e-5, 2e-4), (3e-3, 1e-2, 1e-1)
-"""Other viscosities, Pa s, and other densities, kg/m^3, of the medium."""
+"""Further viscosities, Pa s, and densities, kg/m^3, of the medium."""
 
 
 @CASES(f"""discs-in-thinner-media
@@ -308,8 +308,8 @@ is convex in X for each body, but not jointly convex.
 """
 
 MEETING, MET, WRONG, THROWN, LIGHTEST, SHORT = 0.04, 1.4, 0.2, 0.005, 1e-3, (6.25e-4, 3.125e-4)
-"""Steps and ends, s, of discs that meet, for backward Euler, the control and the midpoint rule; the medium's
-density, kg/m^3; the midpoint rule's steps, s."""
+"""Discs that meet: step and end, s, by backward Euler; ends, s, of the control and of the midpoint rule;
+density of the medium, kg/m^3; steps, s, of the midpoint rule."""
 
 
 _BOUNDS = """- largest rise in a step, backward Euler <= 1e-10: never, but for rounding and tolerance

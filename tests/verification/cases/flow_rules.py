@@ -130,7 +130,8 @@ def _point() -> Measured:
 
 
 MIDPOINT = {"linear": True, "Norton, n = 3": True, "Bingham": False, "linear hardening": False}
-"""Rules, and whether their rate has a derivative; rules with yield begin to flow within a step."""
+"""Rules, and whether the rate of each rule is differentiable. Rules with a yield stress begin to flow within
+a step."""
 
 
 @CASES("""flow-rules-midpoint
@@ -167,7 +168,7 @@ def _midpoint() -> Measured:
     - closure
     """)
 def _relaxation() -> Measured:
-    """|E|^(1-n) grows linearly: d|E|/dt = -A (2 G |E|)^n in a body that cannot move."""
+    """Relaxation of a body that cannot move: d|E|/dt = -A (2 G |E|)^n, so that |E|^(1-n) grows linearly."""
     A, n, begin, table = 0.3, 3, 0.5, RateTable("error of |E|, relative to its start", "tau, s")
     F = CF(tuple((np.eye(3) + begin * np.diag([2, -1, -1]) / math.sqrt(6)).ravel()), dims=(3, 3))
     exact = (begin ** (1 - n) + (n - 1) * A * (2 * G) ** n) ** (1 / (1 - n))
@@ -189,7 +190,8 @@ def _relaxation() -> Measured:
     - closure
     """)
 def _flow_curve() -> Measured:
-    """T_12 = sigma_Y/sqrt(3) + G_m rate/2 of Bingham's fluid, and the analogue with an exponent."""
+    """Flow curves: T_12 = sigma_Y/sqrt(3) + G_m rate/2 of Bingham's fluid, and of a fluid with an
+    exponent."""
     sigma_Y, G_m, rows, mesh = 1.5, 0.2, [], channel(1, 1, maxh=1.0)
     s, material = math.sqrt(2 / 3) * sigma_Y, nv.LinearElastic(K_e=200.0, G_e=200.0)
     for n, rate in product((1.0, 2.5), (0.1, 1.0, 10.0)):
@@ -334,7 +336,7 @@ for kind in BINGHAMS:
     - closure
     """)
 def _norton_creep() -> Measured:
-    """Shear by a traction on the wall, with rate = 2 A (sqrt(2) tau)^(n-1) tau."""
+    """Shear by a traction tau on the wall, with the rate 2 A (sqrt(2) tau)^(n-1) tau."""
     A = 0.3
     rows: list[list[Any]] = []
     for kind, n, tau in product(BINGHAMS, (1.0, 3.0, 5.0), (0.5, 1.0, 2.0)):

@@ -80,7 +80,7 @@ def _period(
 
 
 def _beside(other: nv.Thermal, bulk: float, rho: float) -> tuple[float, float]:
-    """Measured and exact periods of an ideal gas beside a body of density rho and bulk modulus ``bulk``.
+    """Measured and exact periods of an ideal gas beside a body of density ``rho`` and bulk modulus ``bulk``.
 
     Each body fills half of the box. The exact frequency solves Z_1 cot(omega/(2 c_1)) + Z_2 cot(omega/(2
     c_2)) = 0."""
@@ -326,7 +326,7 @@ G, A, M = 20.0, 1e-4, 3.0
 
 
 def _faster(theta: float) -> float:
-    """Arrhenius's factor."""
+    """The factor by which Arrhenius's law accelerates creep at a temperature."""
     return float(np.exp(ENERGY / 8.31446261815324 * (1 / START - 1 / theta)))
 
 

@@ -84,7 +84,7 @@ def _at_height(polynomial: Polynomial) -> CoefficientFunction:
 
 
 def _rolls(plates: Plates, Ra: float, amplitude: float) -> np.ndarray:
-    """Amplitudes, m/s, of half of a roll that starts in its mode, in steps of 0.01 s.
+    """Amplitudes, m/s, of half of a roll that starts with the velocity of its mode, after steps of 0.01 s.
 
     The fluid is nearly incompressible: expansion 3e-3/K, 1 K between the plates, g/K_e < 1e-3/m, isentropic
     slope 2e-3 K/m.
@@ -130,8 +130,8 @@ def _rolls(plates: Plates, Ra: float, amplitude: float) -> np.ndarray:
 
 
 def _onset(plates: Plates) -> Measured:
-    """Growth below and above the onset, of half of the difference of two runs, which is linear in the
-    roll."""
+    """Growth below and above the onset. The amplitude is half of the difference of two runs, in which effects
+    of second order cancel."""
     rows, size = [], plates.wave**2 + math.pi**2
     for Ra in plates.numbers:
         roll = 0.5 * (_rolls(plates, Ra, 0.05) - _rolls(plates, Ra, -0.05))

@@ -2,9 +2,9 @@
 
 Units are mm, us and GPa, so that 1 g/cm^3 is the unit of density. The bar is surrounded by a light fluid with
 the bar's volumetric energy, because then the common pressure of bodies has a closed form. A light fluid gives
-way like air, although it keeps its volume. The cells must not lock. Triangles with velocities of order one
-and one dilatation lock if a rectangle has two of them, and do not lock if a rectangle has four that meet in
-its middle.
+way like air, although it is as stiff in compression as the bar. The cells must not lock. Triangles with
+linear velocities and one dilatation per cell lock if each rectangle is divided in two. They do not lock if
+each rectangle is divided in four triangles that meet in its middle.
 """
 
 import math
@@ -28,19 +28,21 @@ CASES = Cases("Bodies and their interfaces")
 
 LENGTH, RADIUS, SPEED = 32.4, 3.2, 0.227
 DENSITY, BULK, SHEAR, YIELD, HARDENING, DASHPOT = 8.93, 130.0, 43.3, 0.4, 0.1, 0.01
-"""Numbers of copper; at a strain rate of 0.1/us the dashpot has a four-hundredth of the yield stress."""
+"""Constants of copper. At a strain rate of 0.1/us the stress of the dashpot is a four-hundredth of the yield
+stress."""
 LIGHT = 0.05
 """The fluid's density."""
 OUTER, TOP, GROWTH = 9.0, 35.0, 1.15
 """The domain, and the ratio of the heights of neighbouring rows away from the bar."""
 END = 80.0
 WAVE, BEHIND = 4.0, 20.0
-"""Time when the elastic wave has gone 18.3 mm, and a place that it has not reached then."""
+"""Time when the elastic wave has travelled 18.3 mm, and a place that the wave has not reached by then."""
 Pattern = Literal["crossed", "diagonal"]
 
 
 class Rows(NamedTuple):
-    """Rows of rectangles across and along the bar, the growth of rows away from the foot, and the step."""
+    """Numbers of rows of rectangles across and along the bar, growth of the rows away from the foot, and
+    step."""
 
     across: int
     along: int
@@ -102,7 +104,7 @@ def _lines(inner: float, cells: int, growth: float, outer: float) -> Iterator[fl
 def thrown(
     rows: Rows, pattern: Pattern = "crossed", symmetry: str = "axisymmetric", outer: float = OUTER
 ) -> tuple[nv.Simulation, nv.Contours]:
-    """The bar in flight, its foot at the wall, and its outline every few steps.
+    """The run of a bar that starts in flight with its foot at the wall, and outlines every few steps.
 
     With the symmetry "none" the bar is a block in plane strain; ``outer`` is the half width of the domain."""
     across, along = _lines(RADIUS, rows.across, 1.0, outer), _lines(LENGTH, rows.along, rows.growth, TOP)
@@ -201,8 +203,8 @@ MARKS = tuple(range(10, 81, 10))
 
 
 def _lagrangian(across: int, revolution: bool) -> tuple[np.ndarray, float, float]:
-    """Time, length and half width at ``MARKS``, (times, 3), heat, and missing energy, both over the first
-    energy, by a mesh that moves."""
+    """Results by a moving mesh: time, length and half width at ``MARKS``, (times, 3), then heat and missing
+    energy over the initial energy."""
     metal = Metal(density=DENSITY, bulk=BULK, shear=SHEAR, yield_stress=YIELD, hardening=HARDENING)
     bar = ThrownBar(metal, LENGTH, RADIUS, SPEED, across, revolution)
     first, shapes = bar.kinetic, []

@@ -30,8 +30,8 @@ CASES = Cases("Dependent variables")
 # --- variables that depend on each other ---------------------------------------------------------------
 """The limits J -> det F, H -> Cof F, A -> 1/J, K -> ln J/J as delta, tau, h -> 0.
 
-The scheme transports these variables separately, as the paper does, so that the formulas between them hold
-in the limit only.
+The scheme transports these variables separately, as the paper does, so that the formulas that relate these
+variables hold in the limit only.
 """
 
 COFACTORS = nv.MooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0, epsilon=0.1, elastic_state="F")
@@ -91,7 +91,8 @@ def defects_of(material: nv.Material) -> Measured:
 
 @dataclass(frozen=True)
 class PrintedCofactor(Cofactor):
-    """Cof F with the paper's printed row, (Cof' F)(L F - F Pi), which has F where the package has H."""
+    """Cof F with the equation as the paper prints it, (Cof' F)(L F - F Pi), which contains F where the
+    package has H."""
 
     def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
         F = z["F"]
@@ -101,7 +102,7 @@ class PrintedCofactor(Cofactor):
 
 @dataclass(frozen=True, kw_only=True)
 class PrintedMooneyRivlin(nv.MooneyRivlin):
-    """The Mooney-Rivlin material with the printed row."""
+    """The Mooney-Rivlin material with the printed equation of Cof F."""
 
     @property
     def variables(self) -> tuple[Variable, ...]:
@@ -119,8 +120,8 @@ class PrintedMooneyRivlin(nv.MooneyRivlin):
     - largest |closure| <= 1e-10: both rows are in the balance
     """)
 def _printed() -> Measured:
-    """Uses the coupled solver: the printed rate is not linear in the variables, as the split solver
-    requires."""
+    """Compare the printed equation with the package's. The runs use the coupled solver, because the printed
+    rate is not linear in the variables."""
     table = RateTable("H of the two runs as tau and h go to zero")
     materials = COFACTORS, PrintedMooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0, epsilon=0.1, elastic_state="F")
     for h in LEVELS[:3]:
@@ -220,8 +221,8 @@ RHO_MAX = 1.0
 def converging(
     kind: str, law: nv.Regularisation | None, maxh: float, tau: float, m: int
 ) -> tuple[nv.Simulation, str]:
-    """Run matter of density 1 into the middle of a soft tube at 3 m/s until 0.3 s; returns also why a run
-    ended early."""
+    """Run matter of density 1 towards the middle of a soft tube at 3 m/s until 0.3 s. Return the run, and the
+    reason if it ended early."""
     soft = nv.LinearElastic(K_e=1.0, G_e=0.5)
     model = nv.Model(
         material=soft if kind == "linearised" else nv.NeoHookean(K_e=1.0, G_e=0.5, epsilon=0.1),
@@ -253,7 +254,7 @@ CUT_OFF_RUNS = (
 
 
 def cut_off(kind: str) -> Measured:
-    """The tube with the cut-off and a delta-term that is resolved, too weak or absent; and without a
+    """Runs of the tube with the cut-off and a resolved, a too weak or no delta-term, and runs without a
     cut-off."""
     rows, curves = [], []
     for name, delta, maxh, tau, m in CUT_OFF_RUNS:

@@ -25,7 +25,8 @@ WAVES: tuple[tuple[Any, float, float], ...] = (("finite", 0.0, 0.0), ("finite-b"
 
 
 def _wave(kind: str, viscosity: float, speed: float, modulus: float = G) -> list[float]:
-    """Frequency and decay of a wave of strain 1 over their exact values, and v_x over the wave's velocity."""
+    """Frequency and decay of a wave of strain 1, over their exact values, and the velocity along the wave
+    over the velocity of the wave."""
     k = 2 * math.pi
     swing = k * math.sqrt(G)
     period, amplitude = 2 * math.pi / swing, 1 / k
@@ -102,7 +103,8 @@ RADII = (0.55, 0.75, 0.95)
 
 
 def _ring(kind: str, scheme: Any = "midpoint") -> tuple[list[list[float]], list[float]]:
-    """Rows of radius, r^2 T_rt and (T_tt - T_rr) over the exact values; and the pressure and the angle."""
+    """Rows of the radius, r^2 T_rt and T_tt - T_rr, both over their exact values; then the pressure and the
+    angle."""
     rate = IfPos(TURNING - nv.time, ANGLE / TURNING * (1 - cos(2 * math.pi * nv.time / TURNING)), 0.0)
     run = nv.Simulation(
         annulus(INNER, OUTER, 0.17),

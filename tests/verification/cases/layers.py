@@ -22,14 +22,14 @@ on 100 km of lithosphere and 600 km of mantle relaxes as exp(-0.2139e-11 t/s), t
 analytic rate of these layers below a free surface. The air of the benchmark has no density; here it has a
 thousandth of the rock's density.
 
-The viscosity in a cell cut by the surface is the sum of fraction times viscosity: a trace of rock makes the
-cell's air stiff.  On cells of 100 km the surface has slowed down by a third at 5 kyr.
+A cell that the surface cuts has the mean viscosity, weighted by fractions, so that a trace of rock makes the
+air in the cell stiff.  On cells of 100 km the surface has slowed down by a third at 5 kyr.
 """
 
 KYR = 3.15576e10
 LENGTH, BASE, SURFACE, TOP, HEIGHT = 2.8e6, 6e5, 7e5, 8.5e5, 7e3
-"""Length of a wave; heights of the lithosphere's lower and upper face, and of the air's; the topography,
-m."""
+"""Length of a wave; heights of the lithosphere's lower and upper face, and of the upper face of the air;
+amplitude of the topography, m."""
 ROCK, AIR, FALL, K_ROCK = 3300.0, 3.3, 10.0, 1e13
 VISCOSITIES = {"mantle": 1e21, "lithosphere": 1e23}
 RATE, AGE = -0.2139e-11, 14.8
@@ -39,14 +39,15 @@ CELLS_OF, TAU_KYR, END = (50e3, 25e3), 1.0, 16.0
 WAVE_OF = 2 * math.pi / LENGTH
 MYR, RISEN = 1e3 * KYR, 3.0
 PUBLISHED = 396.0, 441.0
-"""Height, m, of the surface at 3 Myr above a rising plume that starts 300 km above the bottom: by ASPECT (its
-manual), and from a digitised curve of Underworld's."""
+"""Height, m, of the surface at 3 Myr above a rising plume that starts 300 km above the bottom: by ASPECT
+(manual), and by Underworld (digitised curve)."""
 
 
 def _layered(
     maxh: float, height: float, air: float, time: nv.TimeSteps, plumes: Sequence[nv.Body] = ()
 ) -> nv.Simulation:
-    """Half a wave of topography of this height, m, at its start; ``air`` is the air's viscosity, Pa s."""
+    """A run that starts with half a wave of topography of the given height, m; ``air`` is the viscosity of
+    the air, Pa s."""
 
     def surface(s: float) -> float:
         return SURFACE + height * math.cos(WAVE_OF * s)
@@ -120,7 +121,7 @@ def _relaxation() -> Measured:
 
 
 def _profile(run: nv.Simulation) -> np.ndarray:
-    """Heights, m, of the surface at 57 places, starting at the axis, and of the plume's centroid.
+    """Heights, m, of the surface at 57 places from the axis outwards, and of the centroid of the plume.
 
     The surface is a sum of twelve cosines, computed from the fraction of air."""
     air, plume, half = run.fields["air_fraction"], run.fields["plume_fraction"], LENGTH / 2
@@ -210,8 +211,8 @@ def mode(ratio: float, shear: float) -> tuple[float, CoefficientFunction]:
         return frequency(ratio), low / math.sinh(K * DEPTH)
 
     def surface(omega: float) -> np.ndarray:
-        """Equations for A and B: the shear stress, and the normal stress with weight and inertia of lifted
-        matter."""
+        """The two equations for A and B at the surface: the shear stress, and the normal stress with the
+        weight and inertia of the lifted matter."""
         q = math.sqrt(omega**2 / shear - K**2)
         rise = np.array([math.sinh(K * DEPTH), math.sin(q * DEPTH)])
         stretch = np.array([K * math.cosh(K * DEPTH), q * math.cos(q * DEPTH)])
@@ -233,7 +234,8 @@ def mode(ratio: float, shear: float) -> tuple[float, CoefficientFunction]:
 def sloshing(
     rows: int, ratio: float, viscosity: float, speed: float, shear: float = 0.0
 ) -> tuple[np.ndarray, float, Curve]:
-    """Frequency, damping, rejected steps, and the projection of v on the first velocity, over a period."""
+    """Frequency, damping, number of rejected steps, and the projections of v on the initial velocity, over a
+    period."""
     above, body = y - DEPTH, fluid(BULK)
     layer = nv.ReferentialNeoHookean(K_e=BULK, G_e=shear / 2) if shear else body
     bodies = (

@@ -44,7 +44,7 @@ TAUS, LONG = (1e-3, 1e-2, 1e-1, 1.0, 10.0), 5
 def energies(
     kind: str, gravity: float, mesh: Mesh | None = None, taus: Sequence[float] = TAUS, steps: int = LONG
 ) -> Measured:
-    """Energies, including the weight's potential, after every step, for every tau."""
+    """Energies after every step, including the potential energy of the weight, for every tau."""
     rows, curves, rises, remainders, unsolved = [], [], [], [], 0
 
     def energy(run: nv.Simulation) -> float:
@@ -106,7 +106,8 @@ DURATION = 0.16
 
 
 def in_tau(kind: str) -> Measured:
-    """Differences of runs with tau, tau/2, ... from the next finer run, and their numerical dissipation."""
+    """Differences of each run with tau, tau/2, ... from the next finer run, and the numerical dissipation of
+    each run."""
     table, losses, _ = _halved(lambda tau: block(kind, tau, creep=2.0, gravity=1.0), (8, 16, 32, 64, 128))
     yield from table.lasts("last rate of {}")
     yield "last rate of the numerical dissipation", losses.last("inertial_and_bregman")
@@ -117,7 +118,8 @@ def in_tau(kind: str) -> Measured:
 def _halved(
     make: Callable[[float], nv.Simulation], counts: Sequence[int], duration: float = DURATION
 ) -> tuple[RateTable, RateTable, list[nv.Simulation]]:
-    """Yield differences from the next finer run, the numerical dissipation, and the runs."""
+    """The table of differences from the next finer run, the table of the numerical dissipation, and the
+    runs."""
     table = RateTable(f"distance to the run with half the step, t = {duration} s", "tau, s")
     losses = RateTable("numerical dissipation until then, relative to the initial energy", "tau, s")
     runs: list[nv.Simulation] = []

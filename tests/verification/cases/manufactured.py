@@ -50,8 +50,8 @@ for kind, name, label in (
         """)(partial(_transport, kind))
 
 V_RATES = {(2, 0): 1.0, (2, 1): 1.7, (2, 2): 1.7, (3, 0): 1.0, (3, 1): 1.7, (3, 2): 2.3}
-"""Required rates of v with p = 4 in 2D: 2 for k = 2 (FORMULATION.md, Section 5), above 2 for k = 3, and no
-more than the rates of the fields coupled to v."""
+"""Required rates of v with p = 4 in 2D: 2 for k = 2 (FORMULATION.md, Section 5), and above 2 for k = 3. The
+rates of the fields that are coupled to v bound those of v."""
 MOMENTUM = {"linear": "Euler-small-viscoelastodyn+1disc", "neo-hookean": "Euler-large-viscoelastodyn+1disc"}
 CARRIED = {
     "linear": "Euler-small-viscoelastodyn+0disc, Euler-small-viscoelastodyn+2disc",
@@ -59,15 +59,15 @@ CARRIED = {
 }
 """Labels of the equations of v, and of those of rho and z."""
 _SHARP = 1.7
-"""Required rate if theory gives order 2 only: for v with k = 2, and for fields transported by v."""
+"""Required rate where theory gives order 2 only: of v with k = 2, and of fields transported by this v."""
 
 
 def _least(dim: int, k: int, m: int) -> tuple[float, float]:
     """The required rates of v and of the fields.
 
-    In 2D the rate is m + 1, less 0.3.  In 3D with k = 3 or m = 2 it is that of theory: m + 1/2 for upwind
-    transport on any mesh; min(k, m + 1/2) for v, whose momentum has a stress of order m + 1/2; and at most 2
-    with k = 2.
+    In 2D the required rate is m + 1 - 0.3. In 3D with k = 3 or m = 2 the required rate is that of theory. For
+    upwind transport it is m + 1/2 on any mesh. For v it is min(k, m + 1/2), since the stress has the order m
+    + 1/2. With k = 2 it is at most 2.
     """
     if dim == 3 and (k == 3 or m == 2):
         least = min(m + 0.5, _SHARP) if k == 2 else min(m + 0.5, k)
@@ -77,7 +77,7 @@ def _least(dim: int, k: int, m: int) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Series:
-    """Meshes on which an order k is measured, with fields of the orders ``degrees``, m."""
+    """Meshes for velocities of the order k and fields of the orders ``degrees``, m."""
 
     dim: int
     k: int
@@ -177,7 +177,7 @@ LABEL = {
 }
 
 AGREES = 1e-6
-"""Relative error of differences of eighth order against the analytic sources."""
+"""Admitted relative error of the analytic sources against differences of eighth order."""
 
 
 def _with_gradient(kind: str, dim: int) -> Measured:
@@ -220,7 +220,7 @@ FIELDS = {"linear": "E", "neo-hookean": "F", "by B": "B"}
 
 
 class Stiffer(Sources):
-    """Sources with a psi' that is a tenth larger."""
+    """Sources of a flow rule whose psi' is a tenth larger."""
 
     @property
     def creep(self) -> CoefficientFunction:
@@ -332,8 +332,8 @@ def radial_creep(
 def solved(dim: int, maxh: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """Pi, (points, 9), r and weights at quadrature points after one step of 1e-8 s, in which nothing moves.
 
-    The last value is the cells' size, (|Omega|/cells)^(1/dim), m: for a ball a mesher makes only twice as
-    many cells with 0.4 m as with 0.8 m, not eight times.
+    The last value is the mean size of cells, (|Omega|/cells)^(1/dim), m, because the size given to the mesher
+    is none: in a ball, 0.4 m gives only twice as many cells as 0.8 m, not eight times as many.
     """
     mesh = disc(1.0, maxh) if dim == 2 else sphere(1.0, maxh)
     square = x * x + y * y + (z * z if dim == 3 else 0.0)

@@ -26,7 +26,7 @@ SHORT = 0.005
 
 @dataclass(frozen=True)
 class Thrown:
-    """A body and its start; ``share`` bounds the change of momentum over ∫ρ|v| and the sound impulse.
+    """A body and its start. The change of momentum over ∫ρ|v| plus the sound impulse is at most ``share``.
 
     ``bonus`` is added to the degrees of the quadrature rules.
     """

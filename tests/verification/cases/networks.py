@@ -165,8 +165,8 @@ CREEPING: dict[str, tuple[Modes, float, str]] = {
 def compliance(t: np.ndarray, modes: Modes, spring: float) -> np.ndarray:
     """The creep compliance J(t), 1/Pa, from a linear system for the branches' strains.
 
-    J is the strain e under the unit stress spring e + sum g_i e_i. With e_i' = e' - e_i/tau_i this determines
-    e'.
+    J is the strain e under a unit stress, spring e + sum g_i e_i = 1. Together with e_i' = e' - e_i/tau_i
+    this equation determines e'.
     """
     g, tau = (np.array([mode[i] for mode in modes.values()]) for i in (0, 1))
     total = spring + g.sum()
@@ -249,7 +249,8 @@ def attenuated(number: int, t: np.ndarray, modes: Modes, spring: float) -> np.nd
 
 
 def _waves() -> Measured:
-    """Measure waves below, at and above omega tau = sqrt(G_inf/G_0), where the loss is largest."""
+    """Measure waves with frequencies below, at and above omega tau = sqrt(G_inf/G_0), where the loss is
+    largest."""
     table = []
     modes, spring = {"slow": (1.0, 0.1)}, 4.0
     for number in STANDING:

@@ -49,9 +49,9 @@ CRITICAL = (1 - LIGHT_FLUID) * G * DEEP / threshold(2 * math.pi / WIDTH * DEEP)
 def _grown(ratio: float) -> tuple[np.ndarray, float]:
     """The projection of v_y on cos(k x) over its initial value, and s^2, 1/s^2, of the motion exp(s t).
 
-    The run starts from hydrostatic rest, J = 1 at the face, with a solenoidal velocity. The projections obey
-    a_n+1 + a_n-1 = (q + 1/q) a_n with q = (1 + s tau/2)/(1 - s tau/2), the midpoint rule's factor, from which
-    (s tau/2)^2 = (c - 2)/(c + 2) for c = q + 1/q, of either sign.
+    The run starts from hydrostatic rest, J = 1 at the face, with a solenoidal velocity. The midpoint rule
+    multiplies by q = (1 + s tau/2)/(1 - s tau/2), so that the projections obey a_n+1 + a_n-1 = c a_n with c =
+    q + 1/q. Then (s tau/2)^2 = (c - 2)/(c + 2), which has either sign.
     """
     k, height = 2 * pi / WIDTH, y - DEEP
     solid = nv.ReferentialNeoHookean(K_e=STIFF, G_e=ratio * CRITICAL / 2)
@@ -110,10 +110,10 @@ def _rayleigh_taylor() -> Measured:
 
 # --- Rayleigh–Taylor of viscous layers -----------------------------------------------------------------
 """Growth of two viscous layers without inertia. A layer of thickness h_1, viscosity eta_1 and density rho_1
-lies above a layer of h_2, eta_2 and rho_2, between walls without slip. The face at A cos(k x) between them
-moves with the velocity K (rho_1 - rho_2) g h_2 A/(2 eta_2), where K is ``factor`` (H. Ramberg, Phys. Earth
-Planet. Inter. 1, 427, 1968; T. Gerya, Introduction to Numerical Geodynamic Modelling, 2010, Chapter 16).
-Backward Euler then multiplies A by 1/(1 - s tau).
+lies above a layer of h_2, eta_2 and rho_2, between walls without slip. The face at A cos(k x) between the
+layers moves with the velocity K (rho_1 - rho_2) g h_2 A/(2 eta_2), where K is ``factor`` (H. Ramberg, Phys.
+Earth Planet. Inter. 1, 427, 1968; T. Gerya, Introduction to Numerical Geodynamic Modelling, 2010, Chapter
+16). Backward Euler then multiplies A by 1/(1 - s tau).
 
 With K_e = 1e10 Pa pressures of 9e7 Pa are rounded to 1e-6 Pa.  This changes the velocity of the weak layer,
 1e13 Pa s, by 1e-6, where the iteration ends.

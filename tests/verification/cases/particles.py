@@ -17,8 +17,8 @@ from tests.verification.setups import fluid, stokes
 CASES = Cases("Bodies and their interfaces")
 
 SIZE, REFINED, CELLS, OUTER = 12.0, (3.4, 3.0), 8, 1.5
-"""Sizes of the periodic cell and of the fine part, in radii; cells across the disc; size of other cells,
-radii."""
+"""Sizes of the periodic cell and of its finely meshed part, in radii; cells across the disc; size of the
+other cells, in radii."""
 CAPILLARY, BULK, REYNOLDS, TAU, STRAINS = 0.2, 50.0, 0.05, 0.1, 18.0
 D, ANGLE = 0.1875, 34.4
 """Deformation and angle, degrees, of an ellipse with uniform fields (Eshelby), D = Ca sin 2 theta =
@@ -116,26 +116,26 @@ for name, what, of_d, (slow, fast), (small, large), (thin, thick) in (
 
 # --- a stiff disc settles in the middle of a channel ---------------------------------------------------
 """A rigid cylinder of the diameter d in the middle of a channel of the width q d has, in creeping flow, the
-drag 4 pi mu U/g(q) per length (Faxen 1946).  In the cells that the disc's surface cuts, disc and
-fluid share one velocity, and the disc's stress counts from a fifth of the cell on.  The disc slows the fluid
-as if its radius were a quarter of a cell larger; its weight remains.
+drag 4 pi mu U/g(q) per length (Faxen 1946).  In the cells that the disc's surface cuts, disc and fluid share
+one velocity, and the disc bears stress only if it fills a fifth of the cell.  The disc slows the fluid as if
+its radius were a quarter of a cell larger; its weight remains.
 """
 
 WIDE, HIGH, FALL, STIFF = 3.3, 7.0, 0.01, 100.0
-"""Width and length of the channel, diameters; gravity times the difference of the densities; shear modulus;
-in units of the diameter, the viscosity and the fluid's density."""
+"""Width and length of the channel, gravity times the difference of the densities, and shear modulus of the
+disc, in units of the diameter, the viscosity and the fluid's density."""
 ACROSS = (4, 6, 12)
 """Cells across the disc."""
 
 
 def faxen(q: float) -> float:
-    """4 pi mu U over the drag, for a channel of q diameters."""
+    """Faxen's g(q) = 4 pi mu U over the drag, for a channel of q diameters."""
     coefficients = (-0.9157, 1.7244, -1.7302, 2.4056, -4.5913)
     return math.log(q) + sum(c * q**-n for c, n in zip(coefficients, (0, 2, 4, 6, 8), strict=True))
 
 
 def _speed(across: int) -> np.ndarray:
-    """Speeds of the disc over Faxen's, in half of the channel with squares of two triangles."""
+    """Speeds of the disc over Faxen's speed, computed in half of the channel on squares of two triangles."""
     table = nv.Bodies()
     both: dict[str, Any] = {"viscosity": stokes(1.0)}
     stiff = nv.ReferentialNeoHookean(K_e=1e3, G_e=STIFF / 2)

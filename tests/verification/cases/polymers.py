@@ -163,8 +163,8 @@ REFERENCES = {
     "Fattal and Kupferman": {1.0: 0.01708, 1.5: 0.01443, 2.0: 0.01306, 2.4: 0.01260},
 }
 """Kinetic energy for density 1, J/m, by the time, s: in Basilisk's test lid-oldroydb (file lid-oldroydb.ref,
-64 x 64 cells without inertia), whose most is 0.01808 J/m at 0.82 s, and in Fattal and Kupferman's paper, read
-off its curve by Basilisk's authors (lid-oldroydb.kinetic), whose most is 0.01781 J/m."""
+64 x 64 cells without inertia), with the maximum 0.01808 J/m at 0.82 s, and in a curve of Fattal and
+Kupferman's paper, read off by Basilisk's authors (lid-oldroydb.kinetic), with the maximum 0.01781 J/m."""
 
 
 def _under_lid(mesh: Mesh) -> nv.Simulation:

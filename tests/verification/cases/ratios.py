@@ -24,8 +24,8 @@ Scheme = Literal["backward-euler", "midpoint"]
 
 
 def _bodies(where: object, stiffer: float, denser: float) -> tuple[nv.Body, ...]:
-    """Two bodies: the second has K_e = 10 Pa, G_e = 1 Pa and 1 kg/m^3, the first has these times the
-    ratios."""
+    """Two bodies: the second has K_e = 10 Pa, G_e = 1 Pa and 1 kg/m^3; the moduli and the density of the
+    first are larger by the ratios."""
     first = nv.ReferentialNeoHookean(K_e=10 * stiffer, G_e=stiffer)
     return (
         nv.Body(name="first", where=where, material=first, density=denser),
@@ -77,8 +77,8 @@ def _least(run: nv.Simulation) -> float:
 def table(
     orders: tuple[int, int], schemes: tuple[Scheme, ...], ratios: tuple[tuple[float, float], ...] = RATIOS
 ) -> Iterator[tuple[Balance | None, list[Any]]]:
-    """Balance and row of each problem, scheme and ratio; the balance is missing if a step has no
-    solution."""
+    """For each problem, scheme and ratio: the balance, or None if a step has no solution, and a row of the
+    table."""
     for problem, make in PROBLEMS.items():
         for scheme in schemes:
             for stiffer, denser in ratios:

@@ -28,12 +28,13 @@ BY_B = "finite-b"
 """Name of the finite-strain model with B = F F^T instead of F, which has the same differential equation."""
 NAMES = {**KINDS, BY_B: "the finite-strain model by B"}
 G, LAMBDA, G_V = 1.0, 1.0, 0.25
-"""Shear modulus, Pa, relaxation time, s, and parallel viscosity, Pa s; the Maxwell element's is G LAMBDA."""
+"""Shear modulus, Pa, relaxation time, s, and parallel viscosity, Pa s. The viscosity of the Maxwell element
+is G LAMBDA."""
 G_M = 2 * G * LAMBDA
 
 
 def material(kind: str) -> nv.Material:
-    """The elastic material of a kind in ``NAMES``, with the shear modulus G."""
+    """The elastic material of the given kind (``NAMES``), with the shear modulus G."""
     return elastic(kind, 50.0, G)
 
 
@@ -133,7 +134,7 @@ def _creep(kind: str) -> Measured:
 
 
 def _upper_convected(kind: str) -> Measured:
-    """Compare with the upper-convected Maxwell fluid, which is the limit for Wi = lambda rate -> 0.
+    """Compare with the upper-convected Maxwell fluid, the limit for Wi = lambda rate -> 0.
 
     F Pi F^T is (b^2 - tr b/3 b) G/G_m, the upper-convected (b - I)/(2 lambda) to first order in b - I."""
     table, against_ode = RateTable("deviation at t = 4 s, relative", "Wi"), 0.0
@@ -271,8 +272,8 @@ for name, (*_, claim) in FLUIDS.items():
     - closure
     """)
 def _leonov() -> Measured:
-    """Measure extrapolated stresses: Pi is trace-free, so that an error of det B = 1 in the start-up
-    remains."""
+    """Measure stresses extrapolated in tau. Since Pi is trace-free, an error of det B = 1 that the start-up
+    makes remains."""
     material, dt, until = nv.OldroydB(K_e=100.0, G_e=G_E), 0.1, 12.0
     rows = []
     for wi in WEISSENBERG[:3]:

@@ -54,7 +54,7 @@ def stiffness(stretch: float) -> float:
 
 
 def star_of_impact(U: float) -> float:
-    """The stretch between two bodies that meet with U each, rho = 1, with one shock into each body.
+    """The stretch between two bodies that meet with the speed U each, rho = 1. One shock runs into each body.
 
     [P] = -S [v] and [v] = -S [stretch] give U^2 = [P] [stretch].  As P'' < 0, also for stretches below 1,
     shocks compress and expansions are fans.
@@ -63,8 +63,8 @@ def star_of_impact(U: float) -> float:
 
 
 def star_of_expansion(U: float) -> float:
-    """The star state between two pieces that part with U each, with a fan into each piece, U = int c
-    dstretch."""
+    """The star state between two pieces that part with the speed U each. A fan runs into each piece, U = int
+    c dstretch."""
 
     def excess(stretch: float) -> float:
         return float(quad(lambda s: math.sqrt(stiffness(s)), 1, stretch)[0]) - U
@@ -313,7 +313,8 @@ def _profiles() -> Measured:
 
 
 def _behind_a_shock(stretch: float) -> tuple[float, float]:
-    """Temperature and P on the Hugoniot curve of the body at rest, e = P (stretch - 1)/2, linear in theta."""
+    """Temperature and P behind a shock into a body at rest, from the Hugoniot equation e = P (stretch - 1)/2,
+    which is linear in theta."""
     d = stretch - 1
     W = (A / 2 + B) * (stretch * stretch - 1) + C / 2 * d**2 - D * math.log(stretch)
     heat = stress(stretch) * d / 2 - W - GAMMA * HEAT_CAPACITY * THETA_R * d

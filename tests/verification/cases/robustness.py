@@ -30,8 +30,7 @@ STEPS = 3
 
 
 DRIFT = (1 + 0.5 * sin(2 * pi * x) * cos(2 * pi * y), 0.5 - 0.5 * cos(2 * pi * x) * sin(2 * pi * y))
-"""An eddy carried by a mean flow: after a long step has damped the eddy, the mean flow still has the Courant
-number."""
+"""An eddy carried by a mean flow. A long step damps the eddy, but the mean flow keeps its Courant number."""
 
 
 @cache
@@ -62,7 +61,7 @@ AXES = {"stiffness, Pa": STIFFNESS, "K_e/G_e": RATIOS, "viscosity, Pa s": VISCOS
 
 
 def attempt(kind: str, stiffness: float, ratio: float, viscosity: float, tau: float) -> list[float]:
-    """Counts for the steps of one configuration: steps tried, solved at the first attempt, and solved;
+    """Numbers of one configuration: steps tried, steps solved at the first attempt, steps solved, and
     iterations.
 
     The largest closure and Courant number are kept too.  After a step without a solution, all later steps

@@ -26,7 +26,7 @@ LABEL = "Euler-small-viscoelastodyn+disc, Euler-large-viscoelastodyn+disc, and b
 
 
 def growth(scheme: str, z: complex) -> complex:
-    """The factor by which a step of length tau multiplies a solution of u' = s u, z = s tau."""
+    """The factor by which a step multiplies a solution of u' = s u, as a function of z = s tau."""
     tableau = scheme_of(scheme)
     A, b = np.array(tableau.A), np.array(tableau.b)
     return complex(1 + z * (b @ np.linalg.solve(np.eye(len(b)) - z * A, np.ones(len(b)))))
@@ -39,7 +39,7 @@ def _energies(run: nv.Simulation) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _standing(scheme: str) -> Measured:
-    """Amplitude and energy after five periods without viscosity."""
+    """A standing wave without viscosity: its amplitude and energy after five periods."""
     k, periods = 2.0, 5
     omega, table = (
         k * math.sqrt(G_E),
@@ -206,7 +206,7 @@ def _couette(scheme: str) -> Measured:
 
 
 def _manufactured(scheme: str, kind: str) -> Measured:
-    """Differences of runs with halved steps, on one mesh, with sources that drive all terms."""
+    """Differences of runs with halved steps on one mesh; manufactured sources drive all terms."""
     counts, duration = (4, 8, 16, 32), 0.1
     runs = [
         free_solution(kind, n, duration, p=2.0, driven=True, scheme=scheme, velocity_scale=3e3)

@@ -130,8 +130,8 @@ KINDS: dict[str, tuple[Make, str, float]] = {
 
 
 def errors(make: Make, name: str, p: float, scheme: str, solver: str) -> tuple[np.ndarray, float]:
-    """The tangent's largest error for each width of differences, and the adjoint's largest distance from the
-    tangent.
+    """The largest error of the tangent for each width of differences, and the largest difference of the
+    adjoint from the tangent.
 
     Errors are relative to the derivative, or to a thousandth of the number over the parameter if larger.
     """

@@ -28,8 +28,8 @@ def orr_sommerfeld(
 ) -> tuple[complex, np.ndarray, np.ndarray]:
     """The exponent of the fastest wave psi(y) e^(i k x + s t) in a layer between slip walls at y = +-half.
 
-    Galerkin's method with the sines sin(q (y + half)), which with their second derivatives vanish at the
-    walls.  Other results are the sines' coefficients, (sines,), and their wave numbers q, 1/m.
+    Galerkin's method uses the sines sin(q (y + half)), which vanish at the walls with their second
+    derivatives. The coefficients of the sines, (sines,), and their wave numbers q, 1/m, are returned too.
     """
     places, weights = np.polynomial.legendre.leggauss(600)
     places, weights = places * half, weights * half

@@ -1,4 +1,4 @@
-"""A soft disc in a fluid: in a lid-driven cavity, in one that turns back, and in a Taylor-Green vortex."""
+"""A soft disc in a fluid: below a lid, below a lid that turns back, and in a Taylor-Green vortex."""
 
 from typing import Any
 
@@ -37,8 +37,9 @@ PATH = np.array(
 )
 """Time, s, and centroid of the disc in the cavity, m: ``immersed.limit`` of N = 64, 96, 128, Peskin's kernel.
 
-The limit with the kernel of three cells is within 0.0003 m of this path at all times.  The path by N = 128
-is 0.0048 m from it until 5 s, and 0.0101 m at 6 s: the film below the lid, 0.022 m, is as thin as the kernel.
+The limit with the kernel of three cells is within 0.0003 m of this path at all times.  The path for N = 128
+is up to 0.0048 m away from this limit until 5 s, and 0.0101 m at 6 s, because the film below the lid, 0.022
+m, is as thin as the kernel.
 """
 
 
@@ -169,7 +170,7 @@ TURNED = 1.0
 
 
 def _strain_of_passive_disc(cells: tuple[int, int], sharp: bool) -> np.ndarray:
-    """Mean of tr X - 3 n over a disc without stress, every 0.25 s, below a lid that turns back."""
+    """Means of tr X - 3 n over a passive disc (without stress) below a lid that turns back, every 0.25 s."""
     solid = nv.IsochoricNeoHookean(K_e=50.0, G_e=5e-9, elastic_state="B")
     both: dict[str, Any] = {"viscosity": stokes(0.1), "density": 0.01}  # creeping flow
     disc = nv.Body(name="disc", where=nv.Ball((0.5, 0.7), 0.2), material=solid, **both)
@@ -221,7 +222,8 @@ def _given_back() -> Measured:
 
 
 TAYLOR_GREEN = Problem(centre=(0.5, 0.5), radius=0.2, shear_modulus=1.0, viscosity=1e-3, vortex=0.05)
-"""The problem of Zhao, Freund and Moser (2008), whose periodic box has planes of symmetry at these walls."""
+"""The problem of Zhao, Freund and Moser (2008). Their periodic box has planes of symmetry, which are walls
+here."""
 
 
 @CASES("""soft-disc-vortex

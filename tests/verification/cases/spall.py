@@ -1,4 +1,5 @@
-"""Spall: a plate in a light gas breaks where a reflected pressure pulse meets its own end."""
+"""Spall: a plate in a light gas breaks where the reflected front of a pressure pulse meets the end of the
+pulse."""
 
 import warnings
 
@@ -28,7 +29,7 @@ PLANE = SURFACE - WIDTH / 2
 
 
 def _pulse() -> CoefficientFunction:
-    """The pulse's pressure over its largest one: it rises and falls linearly over ``EDGE``."""
+    """The pressure of the pulse over its maximum; it rises and falls linearly over ``EDGE``."""
 
     def ramp(distance: CoefficientFunction) -> CoefficientFunction:
         return IfPos(distance, IfPos(EDGE - distance, distance / EDGE, 1.0), 0.0)

@@ -41,8 +41,8 @@ def _swing(run: nv.Simulation, mode: CoefficientFunction) -> tuple[complex, np.n
 
 
 def _of_solid(c: float, depth: CoefficientFunction) -> tuple[CoefficientFunction, CoefficientFunction, float]:
-    """The mode of a half-space whose surface bears no shear: velocity along x and downward, and the latter's
-    value at the surface."""
+    """The mode of a half-space whose surface bears no shear: the velocities along x and downward, and the
+    downward velocity at the surface."""
     q, s = K * math.sqrt(1 - c * c * SHEAR / (LAME + 2 * SHEAR)), K * math.sqrt(1 - c * c)
     share = 2 * K * K / (s * s + K * K)
     along = K * (exp(-q * depth) - share * q * s / (K * K) * exp(-s * depth)) * sin(K * x)

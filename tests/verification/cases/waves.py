@@ -1,4 +1,4 @@
-"""Waves: dispersion, a bar on springs, the modes of a ball, a pulse on meshes that follow it."""
+"""Waves: dispersion, a bar on springs, the modes of a ball, and a pulse that the mesh follows."""
 
 import math
 from functools import partial
@@ -20,7 +20,8 @@ CASES = Cases("Exact solutions: waves")
 
 K_E, G_E, G_V, K_V, MU = 2.0, 1.0, 0.02, 0.01, 1e-3
 AMPLITUDE = 1e-2
-"""Amplitude, m/s: strains are at most 1 %, and it is well above the width of smoothed upwinding, 1e-4 m/s."""
+"""Amplitude, m/s. Strains are at most 1 %, and velocities are large compared with the width of smoothed
+upwinding, 1e-4 m/s."""
 
 
 def dispersion(k: float, wave: str, mu: float) -> complex:
@@ -140,8 +141,8 @@ HEAVY, DAMPING = 1e-3, 0.2
 def _bar(
     k: float, c: float, q: float, omega: float, scheme: Literal["midpoint", "backward-euler"] = "midpoint"
 ) -> tuple[nv.Simulation, np.ndarray, np.ndarray]:
-    """A run over a period from the velocity cos(q x); times; and the projection of v on it, over the initial
-    value."""
+    """Run a period from the velocity cos(q x). Return the run, times, and the projections of v on cos(q x)
+    over the initial value."""
     share = nv.Integrals({"share": f"velocity_1*cos({q!r}*x)"})
     run = nv.Simulation(
         structured_box((1, 1 / CELLS), (CELLS, 1)),

@@ -290,8 +290,8 @@ COUNTS = (8, 16, 32, 64)
 """Numbers of steps for tau -> 0; delta and epsilon go to zero with the second number."""
 
 LIMIT_SIZES = {"linearised": (1e-2, 1e-3, 1e-4), "finite": (1e-3, 1e-4, 1e-5)}
-"""Sizes of delta and epsilon; if the energy contains sqrt(delta), sqrt(delta) has to be small beside the
-moduli."""
+"""Sizes of delta and epsilon; if the energy contains sqrt(delta), sqrt(delta) has to be small compared with
+the moduli."""
 
 DELTA = EPSILON = 1e-2
 """Size of delta while tau goes to zero, and of epsilon while tau and delta go to zero."""
@@ -301,9 +301,10 @@ def fields(run: Simulation) -> dict[str, CoefficientFunction]:
     """Fields: v, rho, z, p, p x v, slopes of v, rho, z, the Cauchy stress; at finite strain Pi and Mandel's
     stress.
 
-    The second gradient of v is the one that the scheme recovers (FORMULATION.md, Section 5). In every run,
-    the energy in the stress is projected, as the energy of a Yosida approximation is, which has values at the
-    quadrature points only. Otherwise the projection would contribute to the distance from the limit.
+    The second gradient of v is the one that the scheme recovers (FORMULATION.md, Section 5). A Yosida
+    approximation has energies at quadrature points only, which the stress contains in projected form. Here
+    the stress of every run contains the projected energy, so that the projection does not contribute to the
+    distance from the limit.
     """
     step = run.rothe_step
     u, energy = step.now, GridFunction(L2(run.mesh, order=step.discretisation.m))
@@ -362,7 +363,8 @@ RATES = {
     "delta": (0.45, "sqrt(delta): the stress of sqrt(delta)/2 |z|^2 and the size of the delta-terms"),
     "epsilon": (0.9, "terms and an approximation of first order in epsilon"),
 }
-"""Measure the limits; on a fixed mesh all norms are equivalent, so that slopes have the functions' rates."""
+"""Measure the limits. On a fixed mesh all norms are equivalent, so that slopes converge at the rates of the
+functions."""
 
 LIMIT_LABELS: dict[str, dict[str, str]] = {
     "linearised": {

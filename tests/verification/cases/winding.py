@@ -22,7 +22,8 @@ the square of the stress."""
 
 
 def material(state: Literal["F", "B", "none"], G_e: float = G_E) -> nv.Material:
-    """The material phi = K/2 (J - 1)^2 + G_e (tr(J^(-2/3) F F^T) - 3) by F, by B, or without shear."""
+    """The material phi = K/2 (J - 1)^2 + G_e (tr(J^(-2/3) F F^T) - 3) by F or by B, or with the first term
+    alone."""
 
     def volume(J: CoefficientFunction) -> CoefficientFunction:
         return K_E / 2 * (J - 1) * (J - 1)

@@ -216,11 +216,11 @@ K_PLATE, G_PLATE, YEAR = 1e11, 5e10, 3.15576e7
 
 
 def _plate(eta: float, times: np.ndarray) -> np.ndarray:
-    """Heights of the lower and upper face at the load's crest, over the load, m/Pa, at times in years.
+    """Heights of the lower and upper face at the crest of the load, over the load, m/Pa, at times in years.
 
-    Loads s cos(q x) on both faces of a layer move the faces by C a s, and loads +-s cos(q x) move them by C c
-    s (Airy 1863), where 1/C is the modulus of plane strain. In the Laplace transform, whose unit of time is
-    the relaxation time, G is the modulus of Maxwell's body.
+    Equal loads s cos(q x) on both faces of a layer move the faces by C a s, and opposite loads +-s cos(q x)
+    by C c s (Airy 1863), where 1/C is the modulus of plane strain. In the Laplace transform, with the
+    relaxation time as unit of time, G is replaced by the modulus of Maxwell's body.
     """
     q, height = np.pi / PLATE[0], PLATE[1]
     a = 2 / q * (np.cosh(q * height) - 1) / (np.sinh(q * height) + q * height)
@@ -302,7 +302,7 @@ FILM, DESCENT, VISCOSITY = 0.5, 0.1, 1.0
 
 
 def _film(of_wall: float = 1.0) -> tuple[float, float]:
-    """Force on the upper disc, and v_r in the film, over the exact values."""
+    """The force on the upper disc, and v_r in the film, each over its exact value."""
     h, V, eta = FILM, DESCENT, VISCOSITY
     grown = 1 - exp(-4 * nv.time)
     p = -3 * eta * V * (1 + 2 * y * (h - y)) / h**3
