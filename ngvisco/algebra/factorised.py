@@ -192,8 +192,8 @@ class TwoLevelSolver:
         all_fine = sp.vstack(among_fine, format="csr")
         del from_coarse, among_fine
         self._among_fine = all_fine.astype(precision.SINGLE, copy=False)
-        # each scaled by its own diagonal, a sum of matrices has no larger eigenvalue than the largest
-        # one of its parts
+        # a sum of matrices, scaled by its diagonal, has no larger eigenvalue than its summands, each scaled
+        # by its own diagonal
         middle = 0.5 * exchange.communicator.most(largest_eigenvalue(all_fine)) * (1 + 1 / SMOOTHED)
         self._smoother = (1 / (middle * diagonal[fine])).astype(precision.SINGLE)
 

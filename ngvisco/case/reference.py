@@ -123,7 +123,7 @@ def _walk(models: Sequence[type[Section]], path: tuple[str, ...]) -> Iterator[Ke
                 None if inner else annotation.example if is_empty else default,
             )
             below = (*path, name, *place_in(field.annotation))
-            # keys of tables that stand in two places are listed under the other table alone
+            # keys of a table that stands in two places are listed once, under the other table
             if inner and below not in _same_keys():
                 yield from _walk(inner, below)
 
@@ -182,7 +182,7 @@ def explain(path: str) -> str:
         return "\n\n".join(
             [_said_of(last), *cards([*tag, *(entry for entry in keys if last in entry.kinds)])]
         )
-    # a name without a table stands for the keys of this name in all tables
+    # a name without a table means all keys of this name
     exact = [e for e in every if matches(e.path, user_path)] or [e for e in every if e.path[-1:] == user_path]
     below = [
         e for e in every if len(e.path) > len(user_path) and matches(e.path[: len(user_path)], user_path)

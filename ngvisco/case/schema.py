@@ -125,7 +125,8 @@ class Time(TimeSteps):  # type: ignore[misc]
 
     @model_validator(mode="after")
     def _ends(self) -> Time:
-        # adaptive steps grow: dt is the first step's length, and dt_max bounds the number of steps from below
+        # adaptive steps grow: dt is the length of the first step only, so that dt_max gives the least number
+        # of steps
         name, longest = (
             ("dt", self.dt) if self.adaptive is None else ("adaptive.dt_max", self.adaptive.dt_max)
         )

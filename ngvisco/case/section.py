@@ -48,7 +48,8 @@ class Section(BaseModel):
     If the validation has a context, the context first converts the table's data (``ngvisco.case.units``).
     """
 
-    # a section that is built when it is declared builds all sections in it once more: 110 MB at import
+    # if each section were built when it is declared, it would build its inner sections once more: 110 MB at
+    # import
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, defer_build=True)
     target: ClassVar[Any] = None
     """The class or function whose parameters the section holds."""

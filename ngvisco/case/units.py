@@ -132,7 +132,7 @@ class Converter:
                 result[name] = Wrong(f"{shown(error.value)}: expected {error.expected}")
                 continue
             except UnitError as error:
-                key = error.key or name  # an exponent of the unit may be at fault
+                key = error.key or name  # the fault may be in an exponent of the unit
                 if key == name or not isinstance(data.get(key), (list, dict)):  # else refused by the schema
                     result[key] = Wrong(f"{shown(data[key]) if key in data else 'is missing'}: {error}")
                 continue
@@ -246,7 +246,7 @@ def key_and_unit_of(
     key = next(iter(reached(sections, (), names)), ())
     if len(key) != len(names):
         return name, ""
-    # a component of a vector has the vector's unit; the whole case is a table too
+    # a component of a vector has the vector's unit; the case as a whole is a table, too
     places = ((given(sections, key[:length]), key[length]) for length in reversed(range(len(key))))
     table, last = next((table, last) for table, last in places if isinstance(table, Section))
     whole = ".".join(key)

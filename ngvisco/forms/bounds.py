@@ -142,7 +142,7 @@ class Bounds:
         self._present = CF(tuple(values)).Compile()
         self._with_drifts = CF((*values, *parted.values())).Compile()
         self._sound: np.ndarray | None = None  # rho and z of the last state within its bounds at all points
-        self._farthest = 0.0  # largest drift at this rank's points in the last call of ``_outside``
+        self._farthest = 0.0  # this rank's largest drift in the last call of ``_outside``
         self._where_means_do = np.array([name in material.where_means_do for name in self.names])
         self._share = GridFunction(L2(step.mesh, order=0))  # s of rho in the last limited state
         self.sharpening = Sharpening(step) if step.layout.discretisation.sharp else None

@@ -110,7 +110,7 @@ class Carrier:
             pre = self._preconditioner.mat
             solver = GMRESSolver(form.mat, pre, tol=TOLERANCE, maxiter=ITERATIONS, printrates=False)
             solution.vec.data = solver * reduced
-            # one iteration solves the system of a body at rest, and GMRES lists no residual of that iteration
+            # a body at rest takes a single iteration, for which GMRES lists no residual
             rest = (reduced - form.mat * solution.vec).Evaluate()
             self._traces.Project(rest)
             is_solved = bool(rest.Norm() <= ENOUGH * reduced.Norm())

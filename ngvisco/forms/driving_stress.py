@@ -81,7 +81,7 @@ class LinearisationStress:
         self._stiffness = np.array(stiffness).reshape(-1, 1, 1)
         self._last: np.ndarray | None = None
         self._slopes = np.zeros((len(self.mechanisms), 0, p, p))
-        self._frozen: _State | None = None  # the iterate of the slopes
+        self._frozen: _State | None = None  # the iterate at which the slopes were computed
         self._given: np.ndarray | None = None  # stresses of the next state
         self.start()
         self.state, self._own = state, layout.ranges["z"]
@@ -107,7 +107,7 @@ class LinearisationStress:
             with np.errstate(all="ignore"):
                 strain = self._softness * _rates(rules, M)
                 share = np.linalg.norm(M, axis=2) / np.linalg.norm(strain, axis=2)
-            # bounds the rate: the end of a midpoint step can violate the flow rule
+            # the stress at the end of a midpoint step can violate the flow rule: its rate is bounded
             self._last = np.nan_to_num(np.minimum(share, 1.0)[..., None] * strain / self._softness)
 
     def start(self) -> None:

@@ -164,7 +164,7 @@ class PointwiseEnergy(StoredEnergy):
     def curved(
         self, u: UnknownValues, slope: CoefficientFunction, test: CoefficientFunction
     ) -> list[CoefficientFunction]:
-        # phi'' at the state: Newton's matrix omits its change with z
+        # phi'' at the state; Newton's matrix does not contain the derivative of phi''
         hessian = self._hessian.Reshape((self._size, self._size))
         return [inner(hessian * column(slope, j), column(test, j)) for j in range(self.dim)]
 

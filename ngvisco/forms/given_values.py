@@ -168,7 +168,7 @@ def _at_pressure(
     """Strains of a fluid at a pressure, Pa, by the inverse of its bulk law."""
     logarithm = L2(mesh, order=0).TrialFunction()
     _, modulus = rest_stress_and_modulus(material)
-    # Newton's method takes logarithms of pressures, which a gas has linear in the logarithm of its volume
+    # Newton's method solves for logarithms: the logarithm of a gas's pressure is linear in that of its volume
     law, target = (
         log(part + (part * part + 1) ** 0.5)
         for part in (bulk_pressure(material, exp(logarithm), {}, theta) / modulus, p / modulus)

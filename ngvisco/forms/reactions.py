@@ -66,7 +66,7 @@ class WallReactions:
             interpolate(interpolated, motion)
             self._tests.append(interpolated.vec.FV().NumPy().copy())
         self._weights = self._shares()
-        # added on walls that nothing crosses: the residual has this integral on all other walls
+        # this integral is added on impermeable walls only: on other walls the residual contains it
         free = step.layout.velocity_space((None,) * step.mesh.dim)
         self._closed = facet_indicator(step.mesh, [name for name in walls if name not in step.walls.crossed])
         normal_test = free.TestFunction() * step.context.normal

@@ -404,7 +404,7 @@ class Sharpening:
         means = self._means(u)[:, cells]
         size = means[self._amounts].sum(axis=0)
         even = (means[self._amounts] / size)[:, :, None] * u[self._amounts][:, cells].sum(axis=0)
-        lowered = np.maximum(-deviation, np.finfo(float).tiny)  # an absent body's mean may have either sign
+        lowered = np.maximum(-deviation, np.finfo(float).tiny)  # an absent body has a mean of either sign
         most = np.where(lowered > _ROUNDING * size[:, None], np.maximum(even, 0.0) / lowered, 1.0)
         deviation = np.minimum(1.0, most.min(axis=(0, 2)))[:, None] * deviation
         for n, contents, amounts in zip(self._amounts, self._contents, even + deviation, strict=True):

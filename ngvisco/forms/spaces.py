@@ -168,7 +168,7 @@ class Layout:
         ranges = (self.space.Range(i) for i in range(len(self.names)))
         self.ranges = {name: slice(r.start, r.stop) for name, r in zip(self.names, ranges, strict=True)}
         kinds = {(u.place, u.order): u for u in self.unknowns.values() if u.place in _SPACES}
-        # all ranks make the space here: made on demand, it would wait for ever for a rank that has failed
+        # all ranks make the space here: a space made on demand would wait for ever for a failed rank
         self._scalars = {kind: self._of_place(unknown, None) for kind, unknown in kinds.items()}
 
     def by_variables(self) -> FESpace:
@@ -203,7 +203,7 @@ class Layout:
         mesh, ranks = self.mesh, Communicator.of(self.mesh)
         if not ranks.is_distributed:
             return int(self.space.ndof)
-        if self.periodic and isinstance(mesh, MeshPart):  # ranks count more images of identified unknowns
+        if self.periodic and isinstance(mesh, MeshPart):  # a rank sees further images of identified unknowns
             return ranks.on_first(lambda: int(self.on(mesh.whole).space.ndof))
         return int(self.space.ndofglobal)
 

@@ -122,8 +122,8 @@ class _RuleSearch:
                 ends.append(s)
         ends.append(1.0)
         pieces = list(pairwise(ends))
-        # these integrals find the largest value first, because a piece with small values need not be resolved
-        # beside one with large values
+        # these integrals give the largest value first: a panel of small values need not be resolved if
+        # another panel has large values
         looks = [[self._integral(*ends) for ends in _equal(a, b)] for a, b in pieces]
         panels = [self._resolved(a, b, look) for (a, b), look in zip(pieces, looks, strict=True)]
         times, weights = np.concatenate([nodes for nodes, _ in panels], axis=1)
@@ -152,7 +152,7 @@ class _RuleSearch:
         while panels:
             size, a, b, halves, off = heappop(panels)
             middle = 0.5 * (a + b)
-            # one panel may have all of a small total error
+            # a single panel may have the whole of a small total error
             is_small = -size <= TOLERANCE * max(b - a, _SHARE)
             if is_small or self.left <= 0 or not a < middle < b:
                 done.append(_gauss((a, middle), (middle, b)))

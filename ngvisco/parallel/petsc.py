@@ -58,7 +58,7 @@ def petsc() -> Any:
         from petsc4py import PETSc
     except ImportError as error:
         raise PETScError(f"{MISSING} ({error})") from error
-    # at its end PETSc makes a communicator of all ranks unless it has one, and would wait for ranks that do
+    # without a communicator of all ranks, PETSc would make one at its end, and wait for ranks that do
     PETSc.COMM_WORLD.duplicate()
     _loaded.append(PETSc)
     return PETSc
@@ -183,7 +183,7 @@ class SumInverse:
         """Collect (rows, columns, values) of this rank's rows from all ranks in order; with the first row."""
         ends, this_rank = np.cumsum(self._comm.allgather(self._size[0])), self._comm.rank
         owner = np.searchsorted(ends, entries[0], side="right")
-        # only neighbours own rows of shared unknowns; `rank - 1` is the number among the ranks with cells
+        # only neighbours own rows of shared unknowns; `rank - 1` counts the ranks with cells
         near = range(self._comm.size) if self._on_one else (rank - 1 for rank in self.exchange.neighbours)
         ranks = sorted({this_rank, *near})
         split = {rank: tuple(part[owner == rank] for part in entries) for rank in ranks}

@@ -73,7 +73,7 @@ def relative_defects(material: Material, z: Values, traced: Collection[str] = ()
             partner = next((n for n in distortion if isinstance(variables[n], partner_kind)), None)
             if partner is not None:
                 cofactor = Cof(z[partner])
-                # J^b Cof F is a multiple of Cof z for z = J^a F; the size is free where J is not known
+                # J^b Cof F is a multiple of Cof z for z = J^a F; without J the multiple is unknown
                 scale = sqrt(square(z[name]) / square(cofactor))
                 gap = sqrt(square(z[name] - scale * cofactor) / square(z[name]))
                 defects[f"{name} and Cof {partner}"] = gap

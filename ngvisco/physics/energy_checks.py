@@ -94,7 +94,7 @@ def check_bound(material: Material, field: str, function: Callable[..., Coeffici
     Q[:, 0] *= np.linalg.det(Q)
     if not np.allclose(at(_turned(material, 3, Q, states)), at(states), rtol=1e-8, equal_nan=True):
         raise ParameterError(field, function, "a function that is the same for all observers")
-    # states near rest too: every bound has admissible states there
+    # also states near rest, since every bound admits some of them
     states = np.concatenate([states, *(z_rest + share * (states - z_rest) for share in (0.3, 0.1, 0.03))])
     inside = states[at(states) > 0]
     for shift in range(1, _PAIRINGS + 1):
@@ -409,7 +409,7 @@ def check_isotropy(material: Material, *, dim: int = 3, spread: float = 0.4, see
         if not finite.any():
             continue
         energies = energy[np.isfinite(energy)]
-        # above rounding; relative to the spread, because an energy is known up to a constant
+        # above rounding, relative to the spread, because an energy is determined up to a constant
         bound = 1e-8 * np.ptp(energies) + 1e-13 * np.abs(energies).max()
         change = np.where(finite & (change > bound), change, 0.0)
         i = int(np.argmax(change))

@@ -383,7 +383,7 @@ def substituted(law: T, value_of: Callable[[ParameterExpression], Any]) -> T:
 def renamed(law: T, prefix: str) -> T:
     """A law with ``prefix`` before the names of the parameters that were made of its moduli."""
 
-    # a renamed parameter is not marked as own, so that it gets one prefix only
+    # a renamed parameter is not marked as own, so that it does not get a second prefix
     return _with_own_names(law, lambda parameter: prefix + parameter.name, is_own=False)
 
 

@@ -133,7 +133,7 @@ def linear_map(matrix: np.ndarray, A: Tensor, shape: tuple[int, ...]) -> Tensor:
     if hasattr(A, "mapped"):
         return A.mapped(matrix, shape)
     entries, read = A.Reshape((matrix.shape[1],)), np.flatnonzero(matrix.any(axis=0))
-    if 0 < len(read) < matrix.shape[1]:  # NGSolve would multiply also by zeros, at every point
+    if 0 < len(read) < matrix.shape[1]:  # NGSolve would also multiply by the zeros, at every point
         some = slice(int(read[0]), int(read[-1]) + 1)
         matrix, entries = matrix[:, some], entries[some]
     product = constant(matrix) * entries

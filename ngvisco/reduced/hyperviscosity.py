@@ -98,7 +98,7 @@ class MatrixHyperviscosity:
         k = layout.discretisation.k
         ones = layout.states.tensors(lambda: Array(np.ones((layout.states.size, 1)), None))
         is_uniform = all(isinstance(modulus, (int, float)) for modulus in self.law.moduli(ones))
-        # if ``constant``, Hs and all functions of Hs are constant in each cell, and one point suffices
+        # if ``constant``, Hs is constant in each cell, and one point suffices for functions of Hs
         constant = k == 2 and step.mesh.GetCurveOrder() <= 1 and is_uniform
         self.op = Operators(step, 0) if constant else op
         velocity = layout.scalar_space("v")

@@ -185,7 +185,7 @@ class FacetMass:
         for i, j in np.ndindex(size, size):
             blocks[i, j] = np.bincount(self.facet, of_sides[:, i, j], count)
         with self.exchange.communicator.together(np.linalg.LinAlgError):
-            # the block of a shared facet is the sum of both ranks' shares
+            # the block of a shared facet is a sum over both ranks
             self.inverses = np.linalg.inv(self.of_facets.sum(blocks).transpose(2, 0, 1))
 
     def solve(self, loads: np.ndarray) -> np.ndarray:

@@ -70,7 +70,7 @@ class Programs:
             self.varying.add(name)
         try:
             self._programs[name], results = Program.of(function, c, self._keeps)
-        except Exception:  # whatever a function of arrays does with arrays of another class
+        except Exception:  # a function of arrays may raise any error for arrays of another class
             self._others.add(name)
             return function(c)
         self._begun.discard(name)

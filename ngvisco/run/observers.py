@@ -125,7 +125,7 @@ class Progress:
 
     def finish(self, simulation: Simulation) -> None:
         is_at_end = self._is_at_end(simulation)
-        if not (is_at_end or simulation.stop_requested):  # the run goes on, for instance on another mesh
+        if not (is_at_end or simulation.stop_requested):  # the run continues, for instance on another mesh
             return
         word = "finished" if is_at_end else "stopped"
         self._print(f"{word} at t = {simulation.t:g} s after {steps_in_words(simulation)}")

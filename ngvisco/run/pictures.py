@@ -27,9 +27,10 @@ _LEVEL = 1e-10
 _COLOURS, _SHRINK = "viridis", 0.75
 """The scale of colours, and its length over the height of its axes."""
 _PIECES, _DRAWN = 6, 200_000  # largest numbers: parts of a triangle's side, and triangles of a picture
-# percentiles, and the share of the whole range below which the range between them shows a spike
+# two percentiles; a range between them below this share of the whole range shows a spike
 _USUAL, _SPIKE = (0.5, 99.5), 0.3
-# shares of the largest rate: median below which the scale is logarithmic, and the scale's least value
+# shares of the largest rate: a median below the first makes the scale logarithmic; the second is the least
+# value of this scale
 _ORDERS, _DECADES = 1e-2, 1e-6
 _UNITS = (("km", 1e3, 2e3), ("m", 1.0, 0.1), ("mm", 1e-3, 1e-4), ("µm", 1e-6, 1e-7), ("nm", 1e-9, 0.0))
 """Units of length: name, size in m, and least length in m that is shown in the unit."""

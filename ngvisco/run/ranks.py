@@ -142,7 +142,7 @@ def numbers_in(part: MeshPart, space: FESpace, whole: FESpace | None) -> np.ndar
     numbers, here = np.zeros((2, space.ndof))
     of_cells = _of_cells(space, range(part.ne))
     numbers[of_cells], here[of_cells] = part.ranks.mpi.scatter(answers), 1.0
-    exchange = Exchange.of(space, part.ranks)  # in a periodic space a rank has unknowns of other ranks' cells
+    exchange = Exchange.of(space, part.ranks)  # a periodic space has unknowns of other ranks' cells
     numbers, count = exchange.sum(numbers), exchange.sum(here)
     return np.where(count > 0, numbers / np.maximum(count, 1), -1).astype(np.int64)
 

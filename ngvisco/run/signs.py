@@ -73,8 +73,8 @@ class Signs:
         powers = step.context.rates.powers_of_creep(step.now)
         power = reduce(lambda a, b: if_positive(a - b, b, a), powers) if powers else None
         at_points = {} if power is None else {CREEP_POWER: power}
-        # the law of an energy that is known at the forms' points only may read values that other points lack:
-        # the dissipations are then not sampled
+        # an energy may be known at the points of the forms only. A law that reads this energy has no values
+        # at other points, and its dissipation is not sampled
         everywhere = step.energy.projected is None
         for entry in entries:
             name, value = entry.name, entry.integrand.cells

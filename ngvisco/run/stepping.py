@@ -266,7 +266,7 @@ class FixedStepper:
         """Number of the step to which the state at ``time`` (s) belongs, and whether the state ends the step
         and not only a part.  ``number`` is the state's row in the ledger."""
         position = self._position(time)
-        if position < 0:  # the steps up to this time had another length
+        if position < 0:  # earlier steps had another length
             return number, True
         whole, part = divmod(position, self._parts)
         return self._first + whole + (part > 0), part == 0
@@ -310,7 +310,7 @@ class FixedStepper:
         """Load the numbers and arrays that ``state_dict`` gave."""
         t = run.t
         self.begin(numbers.get("start", t), int(numbers.get("first", run.number)))
-        if "first" not in numbers or self._time(self._position(t)) != t:  # steps up to t had other lengths
+        if "first" not in numbers or self._time(self._position(t)) != t:  # earlier steps had other lengths
             self.begin(t, run.number)
         self._level = min(int(numbers.get("level", 0)), self.halvings)
 
@@ -428,7 +428,7 @@ class AdaptiveStepper:
             factor *= (max(last, floor) / aim) ** (PROPORTIONAL * power)
         factor = min(max(factor, 1 / LARGEST_CHANGE), 1.0 if was_rejected else LARGEST_CHANGE)
         if abs(factor - 1) > UNCHANGED and (factor < 1 or tau >= self.dt * (1 - _ROUNDING)):
-            # the next length is not bounded by a step that was shortened to meet a time
+            # a step that was shortened to meet a time does not bound the next length
             self.dt = min(max(factor * tau, self.options.dt_min), self.options.dt_max)
 
     def state_dict(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:

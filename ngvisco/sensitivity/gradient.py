@@ -200,7 +200,7 @@ def gradient(
     simulation.stop_requested = False
     slopes = Slopes(base) if method == "adjoint" else None
     request = {"of": of, "by": list(by), "until": until, "method": method, "order": order}
-    trajectory, columns = Trajectory(simulation), base.columns  # refuses a run without derivatives
+    trajectory, columns = Trajectory(simulation), base.columns  # raises if a run has no derivatives
     if restart is not None:
         trajectory.restart = Restart.at(restart, simulation, request)
     columns.has_ends = any(not n.is_integral or n.column in numbers.balances for n in numbers.wanted)

@@ -66,7 +66,7 @@ class Slopes:
         follower, trial, slopes = self.follower, variations.trial, dict[str, Slope]()
         integrands = {**energies(self.step, trial), "mass": Integrand(trial.rho)}
         integrands |= follower.simulation.ledger.momentum.densities(trial)
-        if self.step.energy.projected is not None:  # energy and slope are known at the state only
+        if self.step.energy.projected is not None:  # energy and slope are known at the present state only
             integrands["stored"] = Integrand(inner(self.step.energy.slope(self.step.now), trial.z))
         integrands |= {
             entry.name: entry.integrand for entry in self.step.entries(trial) if entry.evaluate is None

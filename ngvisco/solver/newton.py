@@ -209,7 +209,8 @@ class Newton:
             size = self.norm(self._increment, self._base, u)
             next_size = contraction = np.inf
             renewed = False
-            # the energy first: without an energy the residual is not finite either, and hides the reason
+            # the energy is checked first: without an energy the residual is not finite either, which would
+            # hide the reason
             if self.has_energy() and self._is_finite(self._trial_residual):
                 next_size, contraction = self._following(size)
                 # where matter begins or ceases to yield, the next increment needs new slopes
@@ -219,7 +220,7 @@ class Newton:
                     next_size, contraction = self._following(size)
             history.append(NewtonIteration(size, contraction, damping, fresh))
             is_shorter = contraction <= 1 - damping / 4
-            # if the residual is not finite, the next increment is an old one
+            # a residual that is not finite leaves the old increment
             stalled = fresh and options.refresh < contraction < np.inf
             if damping == 1.0 and (next_size <= options.tolerance or (stalled and self._is_rounding())):
                 if contraction < 1:
@@ -262,7 +263,7 @@ class Newton:
         """The size of the next increment, from the trial residual, and its ratio to the size of the last
         increment."""
         self.jacobian.solve(self._trial_residual, self._next)
-        # NaN if an increment is not finite: it passes no test
+        # NaN if an increment is not finite, so that no test accepts it
         contraction = self.norm(self._next, self._base, self.state) / size if size != 0 else 0.0
         return self.norm(self._next, self.state), contraction
 

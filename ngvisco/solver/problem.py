@@ -88,7 +88,7 @@ class BlockNorm:
                 else:
                     scale = max(of_states) + floor * length
                     sizes.append(norm / scale if scale != 0 else 0.0)
-        # NumPy's maximum passes NaN on, Python's may drop a NaN
+        # NumPy's maximum of NaN is NaN; Python's may be a number
         return float(np.max(sizes)), float(turned)
 
 

@@ -330,7 +330,7 @@ class RotheSolver:
             self._met += filter(None, [energy.last_failure])
             parts = solution.reason, energy.last_failure, *self.ranks.noted()
             return replace(solution, reason="; ".join(filter(None, parts)))
-        reason = energy.failure  # the last increment is added without a test
+        reason = energy.failure  # Newton's method does not test the state after its last increment
         if reason is None and (defect := self.defect()) is not None:
             reason = defect
         return solution if reason is None else Solution(Status.INADMISSIBLE, solution.history, reason)
@@ -366,7 +366,7 @@ def _norm(step: Step, exchange: Exchange) -> BlockNorm:
     """The norm of the step's increments."""
     units = {name: step.layout.unknowns[name].scale for name in step.layout.evolving}
     if "rho_delta_hat" in step.layout.ranges:
-        units["rho_delta_hat"] = 0.0  # for a uniform density this equation is cubic
+        units["rho_delta_hat"] = 0.0  # at a uniform density this equation has cubic terms only
     shared = {"Pi"} & set(step.layout.ranges)
     units |= dict.fromkeys(shared, 0.0)
     ranges, states = dict(step.layout.ranges), step.layout.states

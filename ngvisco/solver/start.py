@@ -85,7 +85,7 @@ class Extrapolation:
         if len(self._kept) < 2:
             return None
         (earlier, before), (last, now) = self._kept
-        # stages of a tableau need not go forward in time
+        # the stages of a tableau may go backward in time
         if last <= earlier or not 0 < (reach := (time - last) / (last - earlier)) <= FARTHEST:
             return None
         guess, ranges = self.step.state.vec.Copy(), self.step.layout.ranges

@@ -43,7 +43,8 @@ def connected(scheduler: str | None, workers: int) -> Iterator[Any]:
     try:
         protocol, place = distributed.comm.parse_address(scheduler)
         if protocol in ("tcp", "tls"):
-            # check the address first: a client that does not connect raises again when it is collected
+            # the address is checked first: a client that does not connect raises a second error when Python
+            # deletes it
             distributed.comm.parse_host_port(place)
         client = distributed.Client(scheduler, timeout=_CONNECT, set_as_default=False)
     except (OSError, ValueError) as error:

@@ -349,7 +349,7 @@ class Integrator:
         if self.bounds.limits:
             end_at(omega)
         if self.bounds.limits and self.bounds.takes_energy:
-            # R jumps where cells begin to be limited, and limiting dissipates anyway
+            # R jumps when the limiter begins to act in a cell, and the limiter dissipates anyway
             omega = 2.0 if share is None else share
         elif distance > noise:
             from scipy.optimize import brentq  # a tenth of the package's import time

@@ -88,8 +88,8 @@ def relaxing(heat_capacity, theta_R=293.0):
 
 
 def test_a_strip_with_heat_and_hardly_any_inertia_relaxes():
-    """As the velocity goes to zero, rounding of the heat moves the strip by more than the tolerance, but by
-    less than 1e-10 of a cell in a step."""
+    """While the velocity goes to zero, rounding of the heat moves the strip by more than the tolerance, but
+    by less than 1e-10 of a cell in a step."""
     run = relaxing(1e3)
     run.run(0.1)
     exact = 0.1 * (1 - np.exp(-0.01)) * np.exp(-0.09)  # Pa, with the relaxation time G_m/(2 G_e) = 1 s

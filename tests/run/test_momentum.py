@@ -107,7 +107,7 @@ def test_momentum_is_kept_in_space(name):
 
 @pytest.mark.parametrize("solver", ["split", "coupled"])
 def test_a_cracked_body_at_rest_stays_where_it_is(solver):
-    """By an earlier scheme the body flew off at 0.2 m/s within half a second, although the ledger closed."""
+    """In an earlier scheme the body flew off at 0.2 m/s within half a second, although the ledger closed."""
     _, start, _ = STATES["cracked"]
     mesh = structured_box((1, 0.25), (4, 1), periodic="xy")
     model = nv.Model(material=BROKEN, viscosity=VISCOUS)

@@ -172,7 +172,7 @@ class Quadrature:
         order = self.facet_degree - _FACET_BASE_ORDER
         over = dx(element_boundary=True, bonus_intorder=order, definedonelements=cells)
         total = self._on_facets(integrand) * over
-        # NGSolve sums other integrals over the ranks, but not this kind
+        # NGSolve does not sum this kind of integral over the ranks
         return float(self.mesh.comm.Sum(Integrate(total, self.mesh)))
 
 

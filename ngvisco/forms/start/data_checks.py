@@ -376,7 +376,7 @@ def warn_of_corners(step: Step, times: Sequence[float]) -> None:
         (int(number[cell]), vertex, tuple(place), of_times)
         for (cell, vertex), place, of_times in zip(cells, places, rates.T, strict=True)
     ]
-    # in the order of one process, because each rank numbers its vertices as the undistributed mesh does
+    # the order is that of one process, since ranks number vertices as in the undistributed mesh
     every = sorted((row for of_rank in ranks.gathered(mine) for row in of_rank), key=lambda row: row[:2])
     rates = np.array([row[3] for row in every]).T
     strains = rates.mean(axis=0) * duration

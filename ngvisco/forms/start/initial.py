@@ -44,8 +44,8 @@ from ngvisco.physics.tensors import inner, square, tensor_space, trace_free_tens
 
 ScalarLike: TypeAlias = float | CoefficientFunction
 
-_CONTRADICTION = 1e-6  # deviation of rho_0 J_0/rho_R from 1 by a value that is rounded to seven digits
-_LEAST_DENSITY = 1e-30  # kg/m^3; the largest is its inverse, as sizes of domains are from 1e-30 to 1e30 m
+_CONTRADICTION = 1e-6  # admitted deviation of rho_0 J_0/rho_R from 1: values may be rounded to seven digits
+_LEAST_DENSITY = 1e-30  # kg/m^3; the largest is the inverse; domains may have sizes of 1e-30 to 1e30 m
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -158,7 +158,7 @@ class Upwinding(PointTerm):
         return [speed(u) * inner(beyond_trace(u), w.z)]
 
     def dissipated_on_facets(self, u: Fields) -> dict[str, CoefficientFunction]:
-        mean = JumpHeat.name in u.layout.unknowns  # the mean gives both sides the same share
+        mean = JumpHeat.name in u.layout.unknowns  # by the mean, both sides get the same share
         loss = u.parts[JumpHeat.name] if mean else lost_by_jumps(u)
         if self.tangents is not None:
             loss = loss + (u.v * u.context.normal) * self.tangents.excess(u)

@@ -44,7 +44,7 @@ def resolved(
         low, high = np.where(defect < 0, s, low), np.where(defect < 0, high, s)
         newton = s - defect / (1 + c * value.imag / TINY)
         length = abs(newton - s)
-        # on an exponential all Newton steps have one length, so that the bracket is halved
+        # for an exponential rate all Newton steps have equal lengths: the bracket is halved instead
         accepted = (newton >= low) & (newton <= high) & (length <= 0.5 * moved)
         # for a rate that gives energy the bracket has no upper end
         middle = np.where(high < np.inf, 0.5 * (low + high), 2 * s)

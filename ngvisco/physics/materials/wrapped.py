@@ -243,7 +243,8 @@ class _Approximation:
             where, z, S, H = (a[definite] for a in (where, z, S, H))
             H = np.linalg.solve(np.eye(size) + H * self.weights, H)
             H = 0.5 * (H + H.transpose(0, 2, 1))
-            # phi'(y) loses no digits for small eps, unlike (z - y)/eps; the next lines correct rounding in y
+            # for small eps, phi'(y) has more correct digits than (z - y)/eps; the next lines correct rounding
+            # in y
             S = S + np.einsum("nij,nj->ni", H, z - y[solved][definite] - self.weights * S)
             energy[where] = at_y.energy[solved][definite] + 0.5 * (S * S) @ self.weights
             slope[where], hessian[where] = S, H

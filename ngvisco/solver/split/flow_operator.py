@@ -115,9 +115,10 @@ class FlowSchurComplement:
         to_fields = np.matmul(z_tests, right.reshape(cells, per, n * d * local))
         to_fields = to_fields.reshape(cells, q * n, d, local)
         if self.has_interfaces:
-            # jumps within one body are small, and their upstream sides change far from the solution
+            # jumps within one body are small, and upstream sides change while the iterate is far from the
+            # solution
             through = self._through_sides(fine, at)
-            to_fields[..., : through.shape[3]] += through  # functions inside the cell come last
+            to_fields[..., : through.shape[3]] += through  # basis functions inside the cell come last
         self.to_fields[where] = to_fields.reshape(cells, q * n, d * local)
         # from z to rows of v: the elastic force of (1 - tau P K)^{-1} dz
         force = precision.single(p.force[:, : d * d]).reshape(count, d, d, n).swapaxes(1, 2)
@@ -200,7 +201,7 @@ class FlowSchurComplement:
             result[: self.nv] += self._with_fields(dv).ravel()
             return result
         x, hyper = np.concatenate([dv, flow[self.size :].reshape(self.dim, -1)], axis=1), self.derivative
-        # only this thread may sum over ranks; it calls the first function, the fields' response with its sums
+        # only this thread may sum over ranks: it calls the first function, the response of the fields
         rows, of_x = self.residual.at_once(lambda: self._with_fields(dv), lambda: hyper(x))
         rows += of_x[:, : dv.shape[1]]
         result[: self.nv] += rows.ravel()

@@ -85,7 +85,7 @@ class _AtPoints:
         z = self.op.z.part(cells)
         values = self.tau * self.rate_slope[self._places(cells)]
         kind = np.float64 if abs(values).max(initial=0.0) > 1 else precision.SINGLE
-        # values at the points, times each basis function, are projected onto the basis
+        # values at the points are multiplied by each basis function, and projected onto the basis
         by_points = self._projection[cells][:, :, None] * z.blocks.swapaxes(1, 2)[:, None]
         by_points = by_points.reshape(z.cells, z.local**2, z.per_cell).astype(kind)
         results = []

@@ -260,8 +260,8 @@ class Preconditioner:
         of_z = np.ascontiguousarray(at.residual[u.slices["z"]].reshape(u.components["z"], -1).T)
         flow, alone = at.residual[: self._size].copy(), None
         if self._relaxes:
-            # a stress that does not satisfy a steep flow rule has a residual as large as the rule's slope:
-            # each cell relaxes its residual before the transport carries the residual to other cells
+            # with a steep flow rule, residuals of stresses are as large as the slope of the rule: each cell
+            # relaxes its residual before the transport carries it to other cells
             alone = operator.points.tau * apply(operator.residual.inverse_mass, of_z.T)
             alone = operator.points.resolved(np.ascontiguousarray(alone.T))
             of_z = of_z - self.fields.rows(alone)
@@ -288,7 +288,7 @@ class Preconditioner:
     def _flow(self, right: np.ndarray, tolerance: float) -> np.ndarray:
         """Solve the flow's system by GMRES, preconditioned with the tangent."""
         start = self._block(right)
-        # scale each block by its first increment, so that stresses do not dominate velocities
+        # each block is scaled by its first increment, so that stresses do not dominate velocities
         scale = np.ones_like(start)
         for where, length in zip(self._blocks, self._lengths, strict=True):
             scale[where] = self.exchange.norm(start, where) / np.sqrt(length) or 1.0

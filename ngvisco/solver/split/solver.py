@@ -129,9 +129,9 @@ class Split:
             reason = f"a block of the split solver is singular: {error}"
             return Solution(Status.SINGULAR, tuple(history), reason)
         if status is Status.CONVERGED:
-            # for the ledger and output, which read the energy at the quadrature points
+            # ledger and output read the energy at the quadrature points
             self.step.local_unknowns.update_stored()
-            self._relax()  # as in a run resumed here, which has no strengthened solver
+            self._relax()  # a run resumed at this state has no strengthened solver either
             return Solution(status, tuple(history))
         tolerance = self.options.split.margin * self.options.tolerance
         return unconverged(status, history, "the split solver", tolerance, "a smaller step")
@@ -167,7 +167,7 @@ class Split:
         self._stale = size > options.stale_above * last
         if not self.is_steep and self._is_worn(size) and size <= options.growth * last:
             del f
-            self.renew(problem, at)  # a residual costs more than the increment that is given up
+            self.renew(problem, at)  # a further residual would cost more than this increment
             f = self.solved(at, expected)
             self.wear.count(self.preconditioner.iterations)
             size = self.size(f)
@@ -212,13 +212,15 @@ class Split:
         """Whether x - f solves the equations, judged by the ``size`` of f and by ``last``, the size of the
         smallest earlier increment."""
         options, tolerance = self.options.split, self.options.tolerance
-        # all increments after f are estimated by a contraction, which is a guess for a first increment
+        # a contraction gives the sum of all increments after f; for a first increment the contraction is a
+        # guess
         contraction = 0.5 if last == np.inf else min(max(size / last, self._left), 1.0)
         if size <= tolerance and size * contraction <= (1 - contraction) * options.margin * tolerance:
             return True
         if not 0.5 * last < size:
             return False
-        # if rounding or a poor tangent slows the iteration, the sum of all later increments has to be small
+        # if rounding or a poor tangent slows the iteration, the sum of all remaining increments has to be
+        # small
         gained = max(1 - size / last, 0.0) or 1.0
         return self.size(f, coarse=True) <= gained * tolerance
 
@@ -387,7 +389,7 @@ def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> S
     while len(history) < split.options.max_iterations:
         if len(history) > options.slow and last <= options.krylov_below:
             return newton_krylov(split, problem, x, history)
-        # the estimate takes the last contraction, which is unknown after an iterate was given up
+        # the estimate needs the last contraction, which is unknown after an iterate was given up
         expected = last * history[-1].contraction if last < np.inf else np.inf
         f, size = split.increment(problem, x, split.evaluated(x, last), last, expected)
         history.append(NewtonIteration(size, size / last if last < np.inf else 1.0, 1.0, split.is_fresh))
