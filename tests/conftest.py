@@ -12,7 +12,7 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when NGSolve loads its BLAS
 os.environ.setdefault("NGS_NUM_THREADS", "1")  # read by processes that tests start
 os.environ.setdefault("NGVISCO_THREADS", "1")
-if sys.dont_write_bytecode:  # all processes of a run share what one of them compiles, away from the sources
+if sys.dont_write_bytecode:  # the processes share compiled modules in a folder outside of the sources
     sys.pycache_prefix = str(Path(__file__).parents[1] / ".pytest_cache" / "bytecode")
     sys.dont_write_bytecode = False
     os.environ["PYTHONPYCACHEPREFIX"] = sys.pycache_prefix

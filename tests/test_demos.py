@@ -226,7 +226,7 @@ def test_gel_rings_down_by_its_loss_factor():
     s, theory = demo.exact(1.7, 0.4 * np.arange(len(top)))
     assert np.abs(top - theory).max() <= 0.02 < 0.5 < 1 - np.abs(theory[-25:]).max()
     at = demo.modulus(1j * s.imag, 1.7)
-    assert -2 * s.real / s.imag == pytest.approx(at.imag / at.real, rel=0.1)  # holds for small damping
+    assert -2 * s.real / s.imag == pytest.approx(at.imag / at.real, rel=0.1)  # a formula for small damping
     assert balanced(run).column("dissipation_creep_mode_1")[1:].min() >= 0
 
 

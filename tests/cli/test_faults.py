@@ -132,7 +132,7 @@ def test_a_mesh_file_cut_short_is_refused(cut, half, case_file):
     )
     case_file.write_text(text)
     code, _, err = command("check", case_file)
-    # Netgen's copy of the geometry follows the mesh: a file without the copy may still have the whole mesh
+    # the file ends with Netgen's copy of the geometry: without this copy the mesh may still be complete
     assert (code == DONE and cut > 0.5) or (code == BAD_INPUT and "broken.vol" in err and "domain" in err)
 
 
@@ -371,7 +371,7 @@ def test_a_step_without_solution_ends_with_its_reason(case_file, tmp_path):
     words = [word for setting in settings for word in ("--set", setting)]
     code, _, err = command("run", case_file, "-o", tmp_path / "out", "--quiet", *words)
     assert code == FAILED and "no step of at least dt_min = 0.02 s" in err and "estimated error" in err
-    assert rows(tmp_path / "out") == 2  # the first step has no estimate
+    assert rows(tmp_path / "out") == 2  # the first step has no estimate of its error
     log = (tmp_path / "out" / "log.txt").read_text()
     assert "rejected dt 0.02 s" in log and "ended: no step of at least dt_min" in log
     report = tmp_path / "out" / "failed.txt"

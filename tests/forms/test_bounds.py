@@ -98,7 +98,7 @@ def test_limiter_keeps_every_mean_and_restores_every_bound(name, m):
     assert bounds.violation(everywhere=True) is not None and bounds.violation() is None
     before, state, energy = means_of(step), step.state.vec.FV().NumPy().copy(), energies_of(step)
     assert 0 < bounds.limit() <= len(chosen)
-    lost = energy - energies_of(step)  # in every cell, by Jensen's inequality for the rule of the forms
+    lost = energy - energies_of(step)  # >= 0 in every cell, by Jensen's inequality
     assert lost.max() > 1e-6 and lost.min() >= -1e-14 * energy.max()
     assert bounds.violation(everywhere=True) is None and not bounds.is_exceeded()
     for name, means in means_of(step).items():
@@ -157,7 +157,7 @@ def test_each_variable_is_held_to_its_own_bound(quantity, variable, mesh):
     assert 0 < bounds.limit() <= len(chosen)
     value = step.now.z_tensors[variable]
     least = bounds.sampler.extrema(value if variable == quantity else Det(value))[0]
-    assert least == pytest.approx(SHARE, rel=1e-6)  # a share of the means, 1: no more is taken than needed
+    assert least == pytest.approx(SHARE, rel=1e-6)  # the limiter takes no more than needed; the mean is 1
     for name, means in means_of(step).items():
         assert np.abs(means - before[name]).max() <= 1e-13 * np.abs(before[name]).max()
     rho = step.layout.ranges["rho"]
@@ -260,4 +260,4 @@ def test_mean_above_a_cut_off_s_bound_is_a_violation():
     step.state.vec.FV().NumPy()[step.layout.ranges["rho"]] *= 1.3
     violation = bounds.violation()
     assert violation is not None and violation.is_mean and violation.quantity == OF_CUT_OFF
-    assert bounds_of(step).violation() is None  # a start above the bound has no such bound
+    assert bounds_of(step).violation() is None  # if the start is above the bound, the run has no such bound

@@ -225,7 +225,7 @@ def test_a_mechanism_that_takes_entropy_away_is_warned_of_by_name():
         pytest.warns(EntropyWarning, match=r"entropy_production_feeding is -.*its law produces energy"),
     ):
         ledger = run_of("coupled", laws={"viscosity": VISCOSITY}, terms=[Feeding()]).ledger
-    assert abs(ledger.column("closure_relative")).max() <= 1e-10  # the ledger alone does not show the fault
+    assert abs(ledger.column("closure_relative")).max() <= 1e-10  # the ledger closes with the fault, too
 
 
 def test_an_entropy_of_zero_is_judged_by_its_rounding():
@@ -347,7 +347,7 @@ def test_bodies_keep_their_energy_and_gain_entropy_in_both_solvers(kind, other):
     """Viscosity, creep, friction and conduction act; the right half has its own law of heat. Energy taken by
     the limiter does not become heat."""
     _, options, numerical = CLOSED[kind]
-    tolerance = 3e-14 if numerical else 1e-13  # the loss is in proportion to the tolerance
+    tolerance = 3e-14 if numerical else 1e-13  # the lost energy is in proportion to the tolerance
     pair = ({"c": 3.0, "expansion": 0.1}, {"c": 1.0} | other)
     bodies = bodies_of(pair, heat=nv.Heat(conductivity=lambda theta: 0.1 * theta))
     model = nv.Model(bodies=bodies, heat=nv.Heat(conductivity=0.02, numerical_heating=numerical))
@@ -363,7 +363,7 @@ def test_bodies_keep_their_energy_and_gain_entropy_in_both_solvers(kind, other):
             newton=nv.NewtonOptions(tolerance=tolerance),
         )
         before = run.fields["temperature"]
-        exact = 1e-12 if numerical else 1e-2  # in a shared cell the pressure is another one
+        exact = 1e-12 if numerical else 1e-2  # shared cells have another pressure
         assert [before(run.mesh(at, 0.3)) for at in (0.1, 0.9)] == pytest.approx([1.2, 1.2], rel=exact)
         ledger = run.run(0.1)
         dt = ledger.column("dt")

@@ -53,7 +53,7 @@ def mismatch(step: Step, parts: list[Integrand], seed: int) -> float:
 def test_linearisation_of_the_whole_residual_is_its_difference(case: Case) -> None:
     step = step_of(case)
     parts = [part for term in step.terms for part in integrands(step, term)]
-    # |v . n| has a kink, which may lie within the difference of some of the states
+    # some differences may extend over a kink of |v . n|
     assert min(mismatch(step, parts, seed) for seed in range(6)) < TOLERANCE
 
 

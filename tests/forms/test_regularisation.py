@@ -151,7 +151,7 @@ def diffuse(quantity, maxh, dt, until, m=1):
     D = 0.05
     exponent = {"r": 2.0} if quantity == "density" else {}
     law = Regularisation(**{f"delta_{quantity}": D}, **exponent)
-    # no stress moves it: K_e is tiny against the viscosity
+    # stresses do not move the body: K_e is tiny compared with the viscosity
     profile = cos(pi * x) * cos(pi * y)
     mesh = box((1, 1), maxh=maxh)
     discretisation = nv.Discretisation(m=m)

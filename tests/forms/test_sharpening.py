@@ -49,7 +49,7 @@ def smeared(material=LINEAR, mesh=None, symmetry="none"):
     sampler = Sampler(step.mesh, step.quadrature)
     set_initial(step, start, sampler)
     bounds = Bounds(step, sampler)
-    for _ in range(3):  # towards the mean of each cell and its neighbours
+    for _ in range(3):  # smooth: the mean of each cell and its neighbours
         z, by = step.state.vec.FV().NumPy()[step.layout.ranges["z"]], bounds.sharpening
         z = z.reshape(step.layout.states.size, -1)
         u = np.einsum("kcf,skf->skc", np.linalg.inv(by._inverse), z[:, by._basis])
@@ -301,7 +301,7 @@ def test_fractions_of_three_bodies_in_a_cell_are_bounded(dim, monkeypatch):
     u += 0.2 * (np.array([by._averaged(values, by._volumes) for values in u]) - by._means(u)[..., None])
     lacking = int(np.argmax(by._means(u)[by._amounts].min(axis=0)))
     taken = by._means(u)[by._amounts[0], lacking] + 0.02
-    u[by._amounts[0], lacking] -= taken  # the cell with most of all three
+    u[by._amounts[0], lacking] -= taken  # taken from the cell that has most of all three bodies
     u[by._amounts[2], lacking] += taken
     z[:, by._basis] = np.einsum("kfc,skc->skf", by._inverse, u)
     amounts = CF(tuple(step.now.z_tensors[name] for name in names))

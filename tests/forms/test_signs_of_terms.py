@@ -37,7 +37,7 @@ def test_a_pressure_on_an_open_wall_pushes_inward(solver):
 
 
 def test_an_impedance_brakes_along_and_across_by_its_own_factors():
-    V = (2e-3, 1e-3)  # little is carried through
+    V = (2e-3, 1e-3)  # slow, so that little matter is carried through the wall
     wall = nv.Open(impedance=(2.0, 0.5))
     force, _ = pushed(wall, wall, V)
     np.testing.assert_allclose(force, (-2 * 2.0 * V[0], -2 * 0.5 * V[1]), rtol=0.05)

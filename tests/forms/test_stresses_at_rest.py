@@ -95,7 +95,7 @@ def test_a_difference_above_one_per_cent_of_the_stress_at_rest_is_warned_of():
 
 
 def test_a_gas_beside_an_open_wall_without_pressure_is_warned_of(recwarn):
-    between(GAS, pressure=1.5)  # let in, 0.5 Pa above its pressure
+    between(GAS, pressure=1.5)  # gas enters at 0.5 Pa above its pressure at rest
     between(GAS, pressure=0.5)
     assert not recwarn.list
     with pytest.warns(nv.InputWarning) as warned:

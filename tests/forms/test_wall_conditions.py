@@ -95,7 +95,7 @@ def test_ledger_closes_and_mass_stays_with_every_wall(name):
     ledger = run.run(0.06)
     assert_balanced(ledger, 1e-12, 1e-13)
     assert ledger.column("v_max")[-1] > 1e-3
-    if name == "slip, disc":  # the wall does not resist: only matter dissipates
+    if name == "slip, disc":  # the wall exerts no friction, so that only matter dissipates
         assert ledger.column("kinetic")[-1] > 0.99 * ledger.column("kinetic")[0]
     of_walls = ("power_wall", "power_traction", "power_kinetic", "power_stored", "dissipation_friction")
     for entry in ledger.entries:
@@ -123,7 +123,7 @@ def test_linearisation_agrees_with_differences(name):
     for vector, size in ((state, 0.02), (direction, 1.0)):
         old = vector.FV().NumPy().copy() if vector is state else 0.0
         vector.FV().NumPy()[:] = old + size * free * rng.standard_normal(len(free))
-    step.local_unknowns.update_stored()  # the stress that creep is linearised at
+    step.local_unknowns.update_stored()  # the stress at which creep is linearised
     full = uncondensed(step)
     product, difference = (
         jacobian_times(full, state, direction),

@@ -47,7 +47,7 @@ def test_bodies_are_carried_through_a_window_and_keep_their_masses():
         disc, medium = (table.column(f"{name}_mass") for name in ("disc", "medium"))
         assert abs(disc / disc[0] - 1).max() < 1e-6  # the disc is far from the walls
         came = 0.02 * sum(ledger.column(f"inflow_{wall}") for wall in ("left", "right")).cumsum()
-        assert came[-1] > 0.005  # a body on springs holds back
+        assert came[-1] > 0.005  # lower for a body on springs
         assert np.allclose(disc + medium - disc[0] - medium[0], came, atol=1e-12)
         moved = table.column("disc_x")[-1] - 0.5
         assert 0.08 < moved < 0.12
@@ -74,7 +74,7 @@ def test_heat_is_carried_through_open_walls(solver):
     entropy = ledger.column("entropy")
     assert abs(np.diff(entropy) - supplied[1:]).max() < 1e-10 * abs(entropy).max()
     theta = run.fields["temperature"]
-    assert abs(Integrate(theta, run.mesh) - 330.0) < 0.3  # three times the first mass has left
+    assert abs(Integrate(theta, run.mesh) - 330.0) < 0.3  # three times the initial mass has left
 
 
 @pytest.mark.parametrize(

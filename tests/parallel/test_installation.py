@@ -21,7 +21,7 @@ def test_info_takes_a_step_if_all_packages_are_installed(ranks):
     said = dict(line.split(maxsplit=1) for line in found.stdout.splitlines())
     assert {"MPI", "PETSc", "mumps", "gamg"} <= set(said)
     assert "1152 cells on" in said["mumps"]
-    assert found.stdout.count("PETSc ") == 1  # the first rank speaks
+    assert found.stdout.count("PETSc ") == 1  # only the first rank prints
 
 
 @needs_petsc

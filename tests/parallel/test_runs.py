@@ -81,7 +81,8 @@ def found(ranks, *names):
 
 GROUPS = {
     "of default": "split creep; delta, 2D, split",
-    # with those above every mechanism once, by one of the solvers; in space, with an oblique, a curved wall
+    # with the cases above, every mechanism runs once by one of the solvers; also in space, with oblique and
+    # curved walls
     "of CI": "carried; observed; sdirk2; adaptive; own term; channel; quadrilateral; slip disc; split; "
     "split crystal; split bodies; split apart; split parameters; split heated; split Yosida; "
     "split, two levels; split, Newton-Krylov; split, all regularisations; split own tableau; "
@@ -135,9 +136,9 @@ def assert_same_ledger(one, several, spare=0):
                 size = max(size, row["momentum_size"])
             if name == "limiter":  # a difference of stored energies
                 size = max(size, energy)
-            if name == "dissipation_creep":  # along the slopes of fractions, whose directions lose digits
+            if name == "dissipation_creep":  # directions of the slopes of fractions have few digits
                 size = max(size, row["stored"])
-            if name == "dissipation_upwinding":  # a square of jumps, which are as exact as the fields
+            if name == "dissipation_upwinding":  # a square of jumps, whose errors are those of the fields
                 size = max(size, math.sqrt(abs(value)))
             same = math.isnan(value) and math.isnan(other[name])
             assert same or abs(other[name] - value) <= 1e-10 * size, name
@@ -173,13 +174,13 @@ def test_ledgers_and_tables_over_ranks_equal_those_of_one_process(group, ranks):
     for name in names:
         one, several = found(1, *names)[name], found(ranks, *names)[name]
         assert (one["cells"], one["unknowns"]) == (several["cells"], several["unknowns"])
-        # the contraction that decides whether another iteration is needed depends on the errors of linear
-        # systems: with bodies and a tolerance of 1e-12, an increment of 8e-13 ends the iteration on three
-        # ranks, while 1e-12 in one process takes two more iterations
+        # the number of iterations depends on a contraction, which errors of linear systems change: with
+        # bodies and a tolerance of 1e-12, an increment of 8e-13 ends the iteration on three ranks, while an
+        # increment of 1e-12 in one process takes two more iterations
         spare = 2 if name == "split bodies" else 1 if "split" in name else 0
         assert_same_ledger(one["rows"], several["rows"], spare)
         assert_same_tables(one["tables"], several["tables"])
-        if name not in own.CASES:  # these cases take so few iterations that one more is a tenth of them
+        if name not in own.CASES:  # in these cases a single further iteration would be more than a tenth
             assert several["linear"] <= 1.1 * one["linear"], name
         assert name not in ACTS or several["rows"][-1][ACTS[name]] > 0, name
 
@@ -311,7 +312,7 @@ def test_a_run_goes_on_with_any_number_of_ranks(case_file, tmp_path, case):
         assert abs(state - other).max() <= 1e-10 * abs(state).max()
     series = {path.name for path in (several / "vtk").iterdir()}
     assert {"fields_000000.pvtu", "fields_000000_p1.vtu", "fields_000000_p2.vtu", "fields.pvd"} <= series
-    assert ngvisco("scene", several).returncode == 0  # pieces are read as one
+    assert ngvisco("scene", several).returncode == 0  # files of several ranks are read as one
 
 
 @pytest.mark.parametrize(
@@ -534,7 +535,7 @@ def test_a_failed_run_over_ranks_has_the_message_of_one_process(tmp_path):
         lines = [line for line in failed.stderr.splitlines() if line.startswith("ngvisco: ")]
         said[ranks] = [line.replace(str(place), "").replace(".pvtu", ".vtu") for line in lines]
         report = (place / "failed.txt").read_text().replace(".pvtu", ".vtu")
-        # increments that linear systems leave
+        # the tolerance of linear systems limits the increments
         reports[ranks] = re.sub(r"\d\.\de-(0[89]|1\d)", "small", report)
         ended = (place / "log.txt").read_text().splitlines()[-1]
         assert "ended: no step of at least dt_min" in ended

@@ -366,7 +366,7 @@ def test_the_singular_part_is_linear_below_J_min_and_unchanged_above():
         assert math.isclose(energy(material, J), expected, rel_tol=1e-13)
 
 
-@pytest.mark.parametrize("dim", [by_ci(2), 3])  # states of the plane are states in space
+@pytest.mark.parametrize("dim", [by_ci(2), 3])  # states in the plane are states in space, too
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_energy_is_jointly_convex(name, dim):
     with warnings.catch_warnings():

@@ -118,5 +118,5 @@ def test_one_body_relaxes_like_a_material(name, solver):
         kept += [fields[n](at) for n in fields if n.startswith("plastic_strain")]
         found.append(np.hstack(kept))
     assert len(found[0]) == len(found[1])
-    # the fraction of one body alone is 1 + 1e-6
+    # a single body has the fraction 1 + 1e-6
     assert found[0] == pytest.approx(found[1], rel=3e-6, abs=3e-6)

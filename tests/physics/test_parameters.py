@@ -38,7 +38,7 @@ def test_a_parameter_does_not_combine_with_a_function_of_the_place(combine):
         for left in (theta, 1 + theta):
             with pytest.raises(nv.ParameterError, match=r"written as nv.Parameter\(name, start=...\)"):
                 combine(left, place)
-            with pytest.raises(TypeError, match="incompatible function arguments"):  # by NGSolve's operators
+            with pytest.raises(TypeError, match="incompatible function arguments"):  # NGSolve raises it
                 combine(place, left)
 
 
@@ -99,7 +99,7 @@ def test_a_body_s_own_parameters_have_its_name_once(name):
 def test_convexity_is_required_in_the_strains_at_fixed_parameters():
     """(1 + theta) |F|^2 is not jointly convex in (F, theta), but is convex in F for every theta > -1."""
     assert nv.check_convexity(custom(), warn=False).passed
-    negative = np.array([[1.0] * 10 + [-3.0]])  # a run's state whose theta makes it concave
+    negative = np.array([[1.0] * 10 + [-3.0]])  # a state with theta < -1, for which the energy is concave
     assert not nv.check_convexity(custom(), warn=False, states=negative).passed
     with_concave = custom(lambda F, J, theta: square(F) + theta * (J - 1) * (J - 1) - 2 * theta * J * J * J)
     assert not nv.check_convexity(with_concave, warn=False).passed

@@ -29,7 +29,7 @@ def state(material, J, theta):
     F = J ** (1 / 3) * Id(3)
     z = {v.name: v.from_distortion(F) for v in material.variables}
     entropy = material.start(CF(theta), z["A"])
-    # a number, so that derivatives by A do not see its dependence on A
+    # a number, so that a derivative by A does not contain its dependence on A
     return z | {"s": CF(float(sampled(entropy)[0]))}
 
 

@@ -33,7 +33,7 @@ def test_homogeneous_stretch_equals_that_of_a_material_point(solver, elastic_sta
         dt,
         material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state=elastic_state),
         viscosity=nv.StokesViscosity(K_v=K_v, G_v=G_v),
-        loads=[nv.Gravity(CF((a * a * x, b * b * y)))],  # this field accelerates the body
+        loads=[nv.Gravity(CF((a * a * x, b * b * y)))],  # this load gives the body its acceleration
         velocity=flow,
         walls={"right": nv.Inflow(velocity=flow), "top": nv.Inflow(velocity=flow)},
         passive=["F_tot"],

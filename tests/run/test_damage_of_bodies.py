@@ -114,7 +114,7 @@ def test_each_step_from_a_state_to_another_dissipates_at_every_point(mixture):
     before, after = respond(old), respond(now, np.where(lagged, old, now))
     distance = before.energy - after.energy - (after.slope * (old - now)).sum(axis=1)
     assert distance.min() > 0
-    # the control: the sign is lost with the present volumes in the damages' conjugates, and without the lag
+    # controls without the sign: present volumes in the conjugates of damage, and damage that does not lag
     present = respond(now)
     of_present = before.energy - present.energy - (present.slope * (old - now)).sum(axis=1)
     assert of_present.min() < 0

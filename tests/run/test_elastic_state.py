@@ -32,7 +32,7 @@ def names(material):
     return [v.name for v in material.variables]
 
 
-# --- which form a model has --------------------------------------------------------------------------
+# --- the elastic state of a model --------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", TWO_FORMED)
@@ -93,9 +93,9 @@ def test_an_open_elastic_state_is_B_for_constants_in_cells(name):
         for asked in "FB":
             by = nv.Model(material=OPEN[name](elastic_state=asked))
             assert names(by.at_order(m).material) == names(by.material)
-        made = model.at_order(m)  # a choice stays, also with other orders
+        made = model.at_order(m)  # the elastic state, once chosen, stays with other orders
         assert names(made.at_order(0 if m else 1).material) == names(made.material)
-    # replacing parts leaves an open choice open
+    # a model with replaced parts may still choose
     assert names(replace(model, loads=(nv.Gravity((0, -1)),)).at_order(0).material) != names(model.material)
 
 
@@ -130,7 +130,7 @@ def test_a_run_keeps_its_choice_over_checkpoints_and_other_orders(tmp_path):
     nv.transfer(first, other)
 
 
-# --- what a step loses -------------------------------------------------------------------------------
+# --- the energy that a step loses --------------------------------------------------------------------
 
 
 @pytest.mark.long
@@ -155,7 +155,7 @@ def test_B_stores_what_F_dissipates_in_the_step():
     assert abs(stored[2]) < 0.02 * stored[0]
 
 
-# --- what winds up says so ---------------------------------------------------------------------------
+# --- runs that wind up warn --------------------------------------------------------------------------
 
 
 def under_a_lid(state):
@@ -182,10 +182,10 @@ def test_run_that_winds_up_warns_once_and_ends_by_name_with_the_remedy():
     assert messages[0].startswith(f"at t = {first:.4g} s det H and J differ by ")
     ledger = run.ledger
     assert ledger.column("defect_rms")[-1] > 0.02 and ledger.column("defect_max")[-1] > 0.1
-    assert np.abs(ledger.column("closure_relative")).max() <= 1e-10  # the closure does not see the error
+    assert np.abs(ledger.column("closure_relative")).max() <= 1e-10  # the ledger closes with this error, too
 
 
-# --- what has parted ends a run ----------------------------------------------------------------------
+# --- a drift ends a run ------------------------------------------------------------------------------
 
 
 def in_a_closed_box(state, m=0, speed=0.1, **options):

@@ -88,7 +88,7 @@ def test_integrals_of_fields_equal_the_powers_of_the_ledger(nu, solver):
     eps = sym(u.L)
     viscous = row["dissipation_stokes_bulk"] + row["dissipation_stokes_shear"]
     assert float(integral(inner(fields["viscous_stress"], eps))) == pytest.approx(viscous, rel=1e-12)
-    # quadratic: S = mu Hs, so that |S|^2 over mu is the dissipation without that of the penalty
+    # for p = 2, S = mu Hs: |S|^2/mu is the dissipation without that of the penalty
     squares = sum(inner(fields[f"hyperstress_{i}"], fields[f"hyperstress_{i}"]) for i in (1, 2))
     assert 0 < float(integral(squares)) / 1e-4 <= row["dissipation_hyper"] * (1 + 1e-10)
     assert "hyperstress_3" not in fields

@@ -102,7 +102,7 @@ def test_constants_in_cells_keep_momentum_to_rounding(name):
 
 @pytest.mark.parametrize("name", ["quadratic", "neo-Hookean, B"])
 def test_momentum_is_kept_in_space(name):
-    assert thrown(name, dim=3, solver="split")[1] <= 1e-10  # GMRES leaves this error
+    assert thrown(name, dim=3, solver="split")[1] <= 1e-10  # the tolerance of GMRES causes this error
 
 
 @pytest.mark.parametrize("solver", ["split", "coupled"])

@@ -141,7 +141,7 @@ def test_a_floor_bears_the_weight(as_bodies):
     by_wall = dict(zip(forces.columns, forces.rows[-1], strict=True))
     assert by_wall["bottom.force_2"] + by_wall["top.force_2"] == pytest.approx(-weight, rel=1e-6)
     assert ledger.column("impulse_walls_2")[-1] == pytest.approx(weight * 1.0, rel=1e-6)
-    # on walls with slip, pressure and tension are equal, and at most half of the weight at the floor, to 2 %
+    # walls with slip bear equal pressure and tension, to 2 % at most half of the weight at the floor
     assert by_wall["bottom.force_2"] == pytest.approx(-weight / 2, rel=0.02)
 
 
@@ -156,12 +156,12 @@ def test_curved_walls_turn_a_body_by_friction_alone():
         assert abs(left(ledger)[:, :2]).max() < 1e-10
         assert (
             abs(left(ledger)).max() < 1e-5
-        )  # cells of a higher order than v: no rotation among its functions
+        )  # cells of a higher order than v, whose space then contains no rotation
         about = ledger.column("angular_momentum")
         assert about[0] == pytest.approx(pi / 2, rel=5e-3)  # int rho r^2
         walls = ledger.column("angular_impulse_walls")
-        assert abs(walls).max() < 2e-4 * about[0]  # the pressure of these walls has no lever
-        if braked:  # 2 pi c R^3 omega dt, falling a little
+        assert abs(walls).max() < 2e-4 * about[0]  # the pressure of these walls has no torque
+        if braked:  # 2 pi c R^3 omega dt, with a slowly decreasing omega
             torque = -ledger.column(f"angular_impulse_friction_{name}")[1:] / (2 * pi * 0.5 * 0.02)
             assert (torque < 1.0).all() and (torque > 0.7).all()
 
@@ -198,7 +198,7 @@ def test_momentum_created_at_a_jump_is_a_defect_in_the_ledger():
     assert abs(left(ledger)).max() < 1e-12
     assert ledger.column("dissipation_upwinding")[1:].min() > 1e-6  # the jump travels with the body
     total = abs(change[:2]).max()
-    # the defect's share of the largest momentum and of the mass times the run's velocity; no load acts
+    # the defect over the largest momentum, and over the mass times the velocity scale; no load acts
     moving = ledger.column("momentum_size").max() + ledger.column("mass")[0] * run.velocity_scale
     assert ledger.column("momentum_defect_relative")[-1] == pytest.approx(total / moving, rel=1e-6, abs=1e-14)
 
@@ -210,7 +210,7 @@ def test_a_lost_momentum_is_warned_of_once_and_by_name():
     with pytest.warns(MomentumWarning, match=r"10\.0% of the present momentum.*skew form of inertia"):
         ledger.momentum.check(row)
     with pytest.raises(pytest.fail.Exception), pytest.warns(MomentumWarning):
-        ledger.momentum.check(row)  # said
+        ledger.momentum.check(row)  # this warns
 
 
 def test_columns_go_to_files_with_units_and_a_resumed_run_goes_on(tmp_path):

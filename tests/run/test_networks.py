@@ -128,7 +128,7 @@ def test_each_branch_has_the_stress_and_creep_rate_that_it_has_alone():
     spring = at(run.fields["B_spring"]).reshape(-1, 3, 3)
     assert np.abs(spring - B).max() > 0.01  # one branch relaxes, the other does not
     chains = at(run.fields["B_chains"]).reshape(-1, 3, 3)
-    shear = M + 2 * 1.0 * spring + 2 * 2.0 * chains  # the stress of all branches but for a pressure
+    shear = M + 2 * 1.0 * spring + 2 * 2.0 * chains  # the stress of all branches, without a pressure
     T = at(run.fields["cauchy_stress"]).reshape(-1, 3, 3)
     gap = np.abs((T - shear)[:, ~np.eye(3, dtype=bool)]).max()
     assert gap < 0.01 * np.abs(shear[:, 0, 1]).max()  # conjugates of the chains are projected
@@ -146,7 +146,7 @@ def test_every_branch_hardens_by_itself():
     ledger = run.run(0.2)
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
     made = {name: Integrate(run.fields[f"plastic_strain_{name}"], run.mesh) for name in hard}
-    for name, total in made.items():  # in spaces of different orders
+    for name, total in made.items():  # the compared fields are in spaces of different orders
         passive = Integrate(run.fields[f"creep_strain_{name}"], run.mesh)
         assert total > 1e-2 and abs(passive / total - 1) < 0.05
     assert abs(made["soft"] / made["stiff"] - 1) > 0.1

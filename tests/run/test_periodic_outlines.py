@@ -102,7 +102,7 @@ def test_a_layer_around_a_channel_stays_in_its_place():
     domain."""
     layer = nv.Block((-1.0, 0.25), (2.0, 0.5))
     row = row_of(layer, structured_box((1.0, 1.0), (8, 8), periodic="x"), ["deformation", "outline"])
-    # 4/sqrt(12) times the sides; the outline of a layer of two cells is the two lines beside it
+    # axes of 4/sqrt(12) times the sides; the outline of the layer, two cells thick, consists of two lines
     assert row["body_L"] == pytest.approx(4 / 12**0.5, rel=1e-9)
     assert row["body_perimeter"] == pytest.approx(2.0, rel=1e-9)
     assert row["body_x"] == pytest.approx(0.5, rel=1e-9)

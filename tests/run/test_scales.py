@@ -105,7 +105,7 @@ def test_advice_warns_of_steps_that_are_hard_to_solve():
     )
     (begun,) = Scales(**sound | {"speeds": (80.0, 1.0)}, scheme=midpoint(), startup=2).advice
     assert "time.startup" in ringing and "time.startup" not in begun
-    assert Scales(**sound | {"speeds": (80.0, 1.0)}).advice == []  # backward Euler damps them
+    assert Scales(**sound | {"speeds": (80.0, 1.0)}).advice == []  # backward Euler damps these waves
     (uneven,) = Scales(**sound, densities=1e5).advice
     assert "densities differ by the factor 1e+05" in uneven and "a factor up to 100," in uneven
     assert Scales(**sound, one_bulk_energy=False).advice == []
@@ -170,7 +170,7 @@ def test_a_strip_has_the_length_between_its_walls_and_is_slow_without_inertia():
     assert found.length == found.extent == pytest.approx(1.0) and found.is_slow
     assert found.advice == []
     followed = replace(found, dt=0.1 * found.passage, longest=0.1 * found.passage)
-    assert followed.advice and not followed.is_slow  # the steps could follow these waves
+    assert followed.advice and not followed.is_slow  # these steps are short enough to follow the waves
     # the first step of a run that chooses its steps gives no advice
     assert replace(followed, longest=found.dt).is_slow
 

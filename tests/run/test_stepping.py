@@ -64,7 +64,7 @@ def test_a_failed_step_is_halved_recorded_and_grown_again(monkeypatch):
     assert "refused 0.04" in watch.seen[0].reason
     assert list(ledger.column("rejections")[:3]) == [0, 2, 0]
     assert list(ledger.column("dt")[1:4]) == [0.01, 0.01, 0.02]
-    assert ledger.column("dt").max() == 0.04  # grown back
+    assert ledger.column("dt").max() == 0.04  # the steps have grown to their first length
 
 
 @pytest.mark.parametrize("why", ["too long", by_ci("the error constant")])
@@ -156,7 +156,7 @@ def test_a_step_that_is_not_solved_is_taken_in_quarters_and_the_run_goes_on(monk
     watch = Rejections()
     run = halving(observers=[watch])
     ledger = run.run(3 * DT)
-    # the second step begins with halves, as the first one ended with quarters; each then fails once
+    # the first step ends with quarters, so that the second one begins with halves, each of which fails once
     assert ledger.column("dt")[1:] == pytest.approx([DT / 4] * 12)
     assert ledger.column("time")[[4, 8, 12]].tolist() == [DT, 2 * DT, 3 * DT]
     assert [r.tau for r in watch.seen] == pytest.approx([DT, DT / 2, DT / 2, DT / 2])
@@ -282,7 +282,7 @@ def test_a_run_stopped_within_a_step_is_resumed_bitwise(solver, tmp_path):
     assert (run.number, run.t, polls.count(1)) == (1, DT, 3) and run.stop_requested
     again = halving(solver=solver)
     again.restore(tmp_path / "run.h5")
-    for one in (again, run):  # the run itself goes on, too
+    for one in (again, run):  # the stopped run itself can go on, too
         one.run(3 * DT)
         assert (one.number, state(one).tobytes()) == (3, state(whole).tobytes())
 

@@ -35,7 +35,7 @@ def test_the_same_mesh_gives_the_same_state():
     assert abs(done.lost) < 1e-13 * done.energy_before
     for name in ("velocity", "density", "F", "J", "F_tot", "reference_map"):
         assert gap(source, target, name) < 1e-12
-    source.solver.reset()  # a transferred run has no earlier step to extrapolate from
+    source.solver.reset()  # a transferred run cannot extrapolate from an earlier step
     reached, again = source.run(0.14), target.run(0.14)
     assert again.column("kinetic")[-1] == pytest.approx(reached.column("kinetic")[-1], rel=1e-9)
     assert again.column("step").tolist() == [0, 1, 2] and again.column("time")[-1] == pytest.approx(0.14)

@@ -68,7 +68,7 @@ def test_cauchy_stress_contains_the_approximated_energy() -> None:
     """T = zeta_F F^T + (J zeta_J + phi_eps) I, so that T_11 without the parts of zeta_F and zeta_J is
     phi_eps."""
     run = simulation(nv.Yosida(material=NEO_HOOKEAN, eps=0.02))
-    fields = run.fields  # obtained once, because the fields follow the state
+    fields = run.fields  # obtained once: fields are functions of the present state
     run.run(0.1)
     u = run.rothe_step.now
     z, zeta = u.z_tensors, u.zeta_tensors

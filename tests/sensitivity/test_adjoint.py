@@ -161,7 +161,7 @@ def test_the_power_of_a_moving_wall_has_a_derivative_by_its_velocity(scheme):
 
 def soft(change=0.0, scheme="midpoint", **options):
     """A block with a field of stiffness."""
-    tilt = x - 2 * y  # fields of start values that are no polynomials of their order are limited themselves
+    tilt = x - 2 * y  # the limiter would change start values that are no polynomials of their order
     theta = nv.Parameter("theta", start=2 + x + change * tilt)
     model = nv.Model(
         material=nv.NeoHookean(K_e=10, G_e=theta, epsilon=0.1),

@@ -159,8 +159,8 @@ def test_impulses_of_walls_have_adjoints(make, columns, options, least):
         nv.gradient(make(5.0, **options), UNTIL, method=method, **given).jacobian[:, 0]
         for method in ("tangent", "adjoint")
     )
-    sizes = np.maximum(abs(tangent), least * abs(tangent).max())  # a defect is made of larger impulses
-    # a tangent's differences leave 2e-16 of the impulses over their spacing of 5e-4: 4e-13 beside 3e-6
+    sizes = np.maximum(abs(tangent), least * abs(tangent).max())  # a defect is a sum of larger impulses
+    # rounding of a tangent: 2e-16 of the impulses over the spacing of 5e-4, that is, 4e-13 compared with 3e-6
     assert (abs(adjoint - tangent) / sizes).max() < 1e-6
 
 

@@ -19,7 +19,7 @@ def sampled(mesh, function):
 def test_volume_of_a_plane_cut_is_exact(order):
     mesh = box((1, 1), maxh=0.3)
     part, rest = fractions(mesh, [HalfSpace((0.37, 0.5), (1, 0.3))], order)
-    exact = 0.37  # the cut goes through (0.37, 0.5), and its mean is the value at its middle
+    exact = 0.37  # the cut has its middle at (0.37, 0.5)
     assert Integrate(part, mesh) == pytest.approx(exact, rel=1e-8)
     assert Integrate(rest, mesh) == pytest.approx(1 - exact, rel=1e-8)
 

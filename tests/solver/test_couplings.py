@@ -70,7 +70,7 @@ class Healing(PointTerm):
         return [Entry("dissipation_healing", "dissipation", Integrand(power))]
 
 
-FACTOR, NET = 1 + x + 20 * nv.time, CF((y, nv.time))  # kept between steps, with values of their own in each
+FACTOR, NET = 1 + x + 20 * nv.time, CF((y, nv.time))  # kept between steps, with new values in each step
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,7 @@ def run(request):
     options = {}
     if asked == "bodies":
         matter = {"bodies": bodies(viscosity)}
-    if asked == "window":  # bodies without an expression for their energy, and a mean of it in each cell
+    if asked == "window":  # the bodies' energy has no expression, and is averaged in each cell
         matter = {"bodies": bodies(viscosity, bulk=5.0)}
         options = {"walls": {"right": nv.Open()}, "discretisation": nv.Discretisation(m=0)}
     if asked == "cubic":  # a function of v vanishes on all sides of its cell
@@ -95,7 +95,7 @@ def derivative(split, at, dv, rows):
 def test_the_flow_operator_has_inertia_convection_and_viscosity(run):
     v = linear(run, lambda x, y: (1 + 2 * y - x, x + 0.5 * y))
     split, at, operator = prepared(run, v)
-    operator.from_fields[:] = 0.0  # the response of the fields is left out here
+    operator.from_fields[:] = 0.0  # this test leaves out the response of the fields
     operator.derivative = None
     dv = linear(run, lambda x, y: (y - 0.3, 2 * x))  # div dv would change the density too
     r = split.residual
@@ -103,7 +103,7 @@ def test_the_flow_operator_has_inertia_convection_and_viscosity(run):
     expected = derivative(split, at, dv, lambda at: r.cell_terms.rows(terms, at.cells)["v"].ravel())
     found = operator(np.concatenate([dv.ravel(), np.zeros(split.preconditioner._size - operator.nv)]))
     tests = np.zeros_like(dv, dtype=bool)
-    tests[:, : run.mesh.nv] = True  # linear ones
+    tests[:, : run.mesh.nv] = True  # linear basis functions
     difference = (found[: operator.nv] - expected)[tests.ravel()]
     assert np.abs(difference).max() <= 1e-8 * np.abs(expected).max()
 
@@ -141,7 +141,7 @@ def test_the_resolvent_by_its_series_is_the_inverse(run, strain, monkeypatch):
     assert 0.01 < np.abs(expected - dz).max() < 2
     assert max(np.abs(found - expected).max() for found in (by_series, stored)) <= 3e-4
     partial = (np.concatenate(series) @ dz.reshape(len(series[0]), -1, 1)).reshape(dz.shape)
-    assert np.abs(by_series - partial).max() <= 3e-6  # each term of the derivative
+    assert np.abs(by_series - partial).max() <= 3e-6  # the error of each term of the derivative
     assert np.abs(points.resolved(dz) - expected).max() <= 1e-12
 
 

@@ -74,7 +74,7 @@ def assert_both_agree(mesh, physics, steps=2, dt=0.02, **options):
     """
     options.setdefault("initial", nv.Initial(velocity=(*SWIRL, CF(0))[: mesh.dim]))
     of_coupled = dict(options)
-    if "newton" in options:  # options of the split solver have no effect on the coupled one
+    if "newton" in options:  # options of the split solver have no effect on the coupled solver
         of_coupled["newton"] = replace(options["newton"], split=SplitOptions())
     runs = [
         nv.Simulation(mesh, physics, dt=dt, solver=name, **of_solver)
@@ -89,9 +89,8 @@ def assert_both_agree(mesh, physics, steps=2, dt=0.02, **options):
             assert np.linalg.norm(a - b) <= 1e-9 * np.linalg.norm(a), name
     allowed = by_tolerance(split)
     for name, rows in residual(split).items():
-        # the last increment leaves the error of the linear systems in the normal derivatives, and a much
-        # smaller error in v, which ends the iteration: ten times this error was seen next to rest, where |a|
-        # is 3e-3 1/s
+        # v, whose error is much smaller, ends the iteration; the normal derivatives keep the error of the
+        # linear systems. Next to rest, where |a| is 3e-3 1/s, ten times this error was measured
         spare = 1 / LINEAR_IN_2D if name.startswith("a_") else 1
         assert np.linalg.norm(rows) <= spare * allowed[name], name
     assert np.abs(split.ledger.column("closure_relative")).max() <= 1e-10
@@ -251,7 +250,8 @@ def test_both_solvers_agree_on_a_curved_wall():
 def test_both_solvers_agree_with_two_levels_and_unknowns_beside_the_velocity(beside):
     mesh = box((1, 1), maxh=0.3) if beside == "a creep rate field" else disc(1.0, maxh=0.5)
     parts = {} if beside == "the stress of a curved wall" else PARTS["a creep rate field"]
-    # by default, one of these steps is taken in halves; here Newton-Krylov begins farther from the solution
+    # with default options one of these steps is taken in halves; here Newton-Krylov begins farther from the
+    # solution
     newton = nv.NewtonOptions(split=SplitOptions(direct_up_to=(0, 0), krylov_below=0.3))
     assert_both_agree(mesh, model(**parts), initial=nv.Initial(velocity=(-y, x)), newton=newton)
 

@@ -40,7 +40,7 @@ def assert_programs_repeat_it(split, x, other):
     assert all(
         np.array_equal(found.coefficients[name], values) for name, values in expected.coefficients.items()
     )
-    # another step from other data, with the same programs
+    # another step with other data and the same programs
     state_old = split.step.state_old.vec.FV().NumPy()
     kept = state_old.copy()
     state_old *= 1.01

@@ -61,12 +61,12 @@ def test_a_slow_tangent_is_renewed_before_the_iteration_has_become_long():
     wear = Wear(COST)
     wear.count(2)
     wear.rate(1e-3, is_new=True)
-    assert not wear.is_dear(1e8)  # the tangent is the new one
+    assert not wear.is_dear(1e8)  # the tangent is new
     wear.rate(0.1, is_new=False)
     assert wear.is_dear(1e6)  # the old tangent takes 6 increments, a new one 2
     assert not wear.is_dear(1e5)  # 5 increments in place of 1.7
     wear.rate(1.5, is_new=False)
-    assert not wear.is_dear(1e6)  # such increments are judged elsewhere
+    assert not wear.is_dear(1e6)  # other code judges such increments
     wear.renew()
     wear.rate(0.05, is_new=True)
     wear.rate(0.1, is_new=False)

@@ -44,7 +44,7 @@ RESTARTED = {
         "passive": ("F_tot", "reference_map", "creep_strain"),
         "scheme": "backward-euler",
     },
-    # linearised at stresses of iterates
+    # rules that are linearised at stresses of iterates
     "yield, coupled": YIELDING | {"solver": "coupled"},
 }
 OF_CI = {
@@ -61,7 +61,7 @@ OF_CI = {
     "heat, coupled": HEATED | {"solver": "coupled"},
     "heat, split": HEATED | {"solver": "split"},
     "yield, split": YIELDING | {"solver": "split"},
-    # nothing of the pointwise energies is in the file
+    # the file contains no pointwise energies
     "Yosida": {"material": nv.Yosida(material=NEO_HOOKEAN, eps=0.02), "creep": nv.Creep(G_m=2.0)},
     "damage": {
         "material": DAMAGED,
@@ -86,7 +86,7 @@ OF_CI = {
 )
 def test_a_run_goes_on_from_any_checkpoint_bit_for_bit(options, tmp_path):
     make = partial(simulation, **options)
-    whole = assert_goes_on(make, tmp_path / "run.h5", 0.06, 1, 2)  # with one solution before it, and with two
+    whole = assert_goes_on(make, tmp_path / "run.h5", 0.06, 1, 2)  # after one and after two solutions
     assert whole.number >= 3
 
 
@@ -223,7 +223,7 @@ def test_a_relaxed_run_has_no_numerical_dissipation():
     lengths = ledger.column("dt")[1:3]
     assert (
         np.abs(lengths - 0.02).min() > 0 and np.abs(lengths - 0.02).max() <= 1e-4
-    )  # near what was asked for
+    )  # near the given tolerance
     plain = simulation(solver="coupled").run(0.1)
     assert np.abs(sum(plain.column(name) for name in NUMERICAL)).max() > 1e-9 * energy
 

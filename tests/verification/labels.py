@@ -97,7 +97,7 @@ def labels_in(text: str, names: Sequence[str] | None = None) -> list[str]:
 @cache
 def _pattern() -> re.Pattern[str]:
     known = "|".join(re.escape(name) for name in sorted(labels(), key=len, reverse=True))
-    # a sign after which a letter follows continues a name; a full stop or a colon at an end does not
+    # a sign continues a name if a letter follows; a full stop or a colon at the end does not
     return re.compile(rf"(?<![\w+*/–-])(?:{known})(?![\w+*]|[-/–.:=]\w)")
 
 

@@ -28,7 +28,7 @@ def test_an_elastic_block_leaves_the_wall_when_its_wave_comes_back():
     bar.run(1.4 * 20.0 / sound)
     assert bar.x[:3, 1].min() > 1e-5
     assert 0.85 < (bar.masses * bar.v[:, 1]).sum() / mass / speed < 1.0
-    assert 0.9 < energy(bar) / first < 1.0  # the foot's row of nodes stops at once
+    assert 0.9 < energy(bar) / first < 1.0  # the nodes of the foot stop at once
     assert bar.worked == 0.0
 
 

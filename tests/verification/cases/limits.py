@@ -374,7 +374,7 @@ def _kelvin_voigt(kind: str) -> Measured:
             table.add(1 / G_m, **separation(runs[G_m], runs[None]))
     deviators = []
     for creep in (2.0, None):
-        # uniform density: the settled body has a static stress, and no slow overturn
+        # the density is uniform, so that the settled body has a static stress and does not overturn slowly
         run = block(kind, 0.25, creep=creep, gravity=2.0, initial=nv.Initial(density=1.0), **options)
         run.run(4.0)
         S = dev(run.fields["cauchy_stress"])

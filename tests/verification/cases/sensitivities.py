@@ -106,7 +106,7 @@ KINDS: dict[str, tuple[Make, str, float]] = {
     "creep, linear": (swirl(creep=lambda p: nv.Creep(G_m=p)), "creep.G_m", 2.0),
     "creep with a gradient": (swirl(creep=lambda p: nv.Creep(G_m=p, nu=0.1, q=4)), "creep.G_m", 2.0),
     "exponent of a power law": (swirl(creep=lambda p: nv.Norton(A=0.1, n=p)), "creep.n", 3.0),
-    # by backward Euler the run has a kink at 0.3 Pa, where a point begins to yield
+    # with backward Euler the result has a kink at 0.3 Pa, where a point begins to yield
     "yield stress": (swirl(creep=lambda p: nv.Perzyna(G_m=1, sigma_Y=p, H=0.5)), "creep.sigma_Y", 0.29),
     "load": (swirl(loads=lambda p: [nv.Gravity((0, p))]), "loads.gravity.g.1", -1.0),
     "start value": (swirl(initial=lambda p: nv.Initial(density=p, velocity=SWIRL)), "initial.density", 1.0),

@@ -77,7 +77,7 @@ def _moved(breaks: bool) -> tuple[nv.Simulation, np.ndarray, np.ndarray]:
     run = _plate(breaks)
     run.observers.extend([surface := _Surface(), table := nv.Bodies()])
     with warnings.catch_warnings():
-        # the damage may grow by more than allowed in the shortest step
+        # in the shortest step the damage may grow by more than the given limit
         warnings.simplefilter("ignore", nv.DamageWarning)
         run.run(END)
     return run, np.array(surface.rows), table.column("plate_mass")
