@@ -17,13 +17,11 @@ from ngvisco.case.schema import CaseSections
 from ngvisco.case.section import (
     TAGS,
     Section,
-    declaration,
     given,
     models_in,
     owner_of,
     places,
     reached,
-    sections_in,
     shown,
 )
 from ngvisco.case.toml import line_of, value_text
@@ -266,25 +264,6 @@ def _resolve(
                 models = models_in(fields[part].annotation)
             path.append(str(part))
     return tuple(path), here, keys, [name for each_model in models for name in each_model.model_fields]
-
-
-LEAST = 1e-60
-"""The smallest magnitude of a number in a case file; products of five such numbers do not underflow."""
-
-
-def numbers_out_of_range(locator: Locator) -> list[Fault]:
-    """Faults of given numbers whose products would underflow or overflow."""
-    faults = []
-    for path, part in sections_in(locator.sections):
-        for name in part.model_fields_set:
-            value = getattr(part, name)
-            if isinstance(value, float) and value and not LEAST <= abs(value) <= 1 / LEAST:
-                admits_zero = declaration(type(part), name).number(0) is not None
-                expected = (
-                    f"{'0, or ' * admits_zero}a finite number from {LEAST:g} to {1 / LEAST:g} in SI units"
-                )
-                faults.append(locator.fault((*path, name), f"{shown(value)}: expected {expected}"))
-    return faults
 
 
 def key_of(field: str, path: tuple[str, ...], sections: Any, value: object = None) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from ngvisco.case import toml
-from ngvisco.case.faults import CaseError, Fault, Locator, faults_of, numbers_out_of_range
+from ngvisco.case.faults import CaseError, Fault, Locator, faults_of
 from ngvisco.case.schema import CaseSections
 from ngvisco.case.section import nodes
 from ngvisco.case.units import SI, Converter, has_unit
@@ -67,8 +67,6 @@ def sections_of(text: str, source: str, directory: Path, settings: Sequence[str]
         raise CaseError(source, faults_of(error, CaseSections, locator)) from error
     except RecursionError as error:
         raise locator.error((), "the tables are nested too deeply") from error
-    if faults := numbers_out_of_range(locator):
-        raise CaseError(source, faults)
     units = [name for name in ("length", "time") if name in converter.scales]
     if units and "velocity" not in converter.scales and (keys := plain_velocities(locator.data)):
         units_in = " and ".join(f"{name} in {locator.data['units'][name]}" for name in units)

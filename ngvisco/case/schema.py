@@ -123,8 +123,8 @@ class Time(TimeSteps):  # type: ignore[misc]
         description="End of the run, a multiple of dt where steps have one length"
     )
 
-    @model_validator(mode="after")
-    def _ends(self) -> Time:
+    def completed(self, made: Any) -> Any:
+        """The steps, if they are not too many and one of them ends at ``until``."""
         # adaptive steps grow: dt is the length of the first step only, so that dt_max gives the least number
         # of steps
         name, longest = (
@@ -134,8 +134,8 @@ class Time(TimeSteps):  # type: ignore[misc]
             f"since the given length makes {self.until / longest:.0e} steps to time.until = {self.until:g} s"
         )
         _require_length(f"Time.{name}", longest, self.until, _MAX_STEPS, steps)
-        self.built.stepper().check("Time.until", self.until)
-        return self
+        made.stepper().check("Time.until", self.until)
+        return made
 
 
 BodyPlace = Annotated[

@@ -9,7 +9,7 @@ import dataclasses
 import functools
 import inspect
 import operator
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from types import MappingProxyType, NoneType, UnionType
 from typing import Annotated, Any, ClassVar, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -31,7 +31,7 @@ from pydantic import (
 from ngvisco.case.laws import EnergyText
 from ngvisco.case.toml import value_text
 from ngvisco.case.values import LAW, MODULUS, NUMBERS, PLAIN, ROWS, SCALAR, TENSOR, VECTOR, ValueKind
-from ngvisco.errors import Declared, Quantity, UnknownNameError
+from ngvisco.errors import Declared, ParameterError, Quantity, UnknownNameError
 from ngvisco.physics.diffusion import WallExchange
 from ngvisco.physics.heat import Conductivity, WallHeat
 from ngvisco.physics.material import Material as MaterialObject
@@ -40,6 +40,8 @@ from ngvisco.run.adaptive import AdaptiveSteps
 
 TAGS = ("geometry", "kind")
 """Keys whose value chooses a section."""
+LEAST = 1e-60
+"""The smallest magnitude of a number in a case file; products of five such numbers do not underflow."""
 
 
 class Section(BaseModel):
@@ -69,11 +71,18 @@ class Section(BaseModel):
 
     @model_validator(mode="after")
     def _possible(self) -> Any:
+        """The section, if its object can be made and its numbers are within bounds."""
         if self.is_made_at_once:
             try:
                 self.built  # noqa: B018
             except UnknownNameError as error:  # a KeyError, which pydantic would let through
                 raise ValueError(str(error)) from error
+        for name in self.model_fields_set:
+            value = getattr(self, name)
+            if isinstance(value, float) and value and not LEAST <= abs(value) <= 1 / LEAST:
+                zero = "0, or " * (declaration(type(self), name).number(0) is not None)
+                expected = f"{zero}a finite number from {LEAST:g} to {1 / LEAST:g} in SI units"
+                raise ParameterError(name, value, expected)
         return self
 
     @functools.cached_property
@@ -215,16 +224,20 @@ def places(top: type[Section]) -> dict[type[Section], tuple[str, ...]]:
     return paths
 
 
+def members(node: Any) -> dict[str, Any]:
+    """The values in a section, a table or an array, by key or index; empty for any other value."""
+    if isinstance(node, Section):
+        return {name: getattr(node, name) for name in type(node).model_fields}
+    if isinstance(node, list):
+        return {str(index): value for index, value in enumerate(node)}
+    return node if isinstance(node, dict) else {}
+
+
 def nodes(node: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
     """Yield key path and value of a node and of everything within: sections, tables, arrays and values."""
     yield path, node
-    inner: Iterable[tuple[Any, Any]] = ()
-    if isinstance(node, Section):
-        inner = [(name, getattr(node, name)) for name in type(node).model_fields]
-    elif isinstance(node, (list, dict)):
-        inner = node.items() if isinstance(node, dict) else enumerate(node)
-    for name, value in inner:
-        yield from nodes(value, (*path, str(name)))
+    for name, value in members(node).items():
+        yield from nodes(value, (*path, name))
 
 
 def sections_in(node: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Section]]:
@@ -234,13 +247,7 @@ def sections_in(node: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[s
 
 def given(sections: Any, key: tuple[str, ...]) -> Any:
     """The value of a key in a case; None if the case does not have the key."""
-    value = sections
-    for part in key:
-        if isinstance(value, list):
-            value = value[int(part)] if part.isdigit() and int(part) < len(value) else None
-        else:
-            value = value.get(part) if isinstance(value, dict) else getattr(value, part, None)
-    return value
+    return functools.reduce(lambda value, part: members(value).get(part), key, sections)
 
 
 def reached(node: Any, path: tuple[str, ...], names: Sequence[str]) -> list[tuple[str, ...]]:
@@ -250,19 +257,16 @@ def reached(node: Any, path: tuple[str, ...], names: Sequence[str]) -> list[tupl
     """
     if not names:
         return []
-    name, inner_names = names[0], names[1:]
-    inner: list[tuple[tuple[str, ...], Any]] = []
-    if isinstance(node, Section) and name in type(node).model_fields:
-        inner = [((*path, name), getattr(node, name))]
-    elif isinstance(node, dict) and name in node:
-        inner = [((*path, name), node[name])]
-    elif isinstance(node, list):
-        members = [str(i) for i, member in enumerate(node) if name in (str(i), getattr(member, "name", None))]
-        inner = [((*path, i), node[int(i)]) for i in members[:1]]
-    if not inner:
+    name = names[0]
+    found = [
+        ((*path, key), part)
+        for key, part in members(node).items()
+        if name == key or (isinstance(node, list) and name == getattr(part, "name", None))
+    ][:1]
+    if not found:
         tables = sections_in(node, path)
-        inner = [(p, t) for p, t in tables if name in (type(t).__name__, owner_of(type(t)).__name__)]
-    return [key for p, part in inner for key in reached(part, p, inner_names) or [p]]
+        found = [(p, t) for p, t in tables if name in (type(t).__name__, owner_of(type(t)).__name__)]
+    return [key for p, part in found for key in reached(part, p, names[1:]) or [p]]
 
 
 def owner_of(model: type[Section]) -> Any:

@@ -13,7 +13,7 @@ import numpy as np
 from ngsolve import CF, BSpline, CoefficientFunction, IfPos, Parameter
 from ngsolve.meshes import MakeStructured2DMesh
 
-from ngvisco.errors import ParameterError, as_number
+from ngvisco.errors import ParameterError, as_number, require_file
 
 time = Parameter(0.0)
 """Time in seconds, for functions that depend on it; its value is the end of the last step."""
@@ -118,7 +118,7 @@ def table(
 
 def read_table(path: str | PathLike[str]) -> np.ndarray:
     """The rows of a CSV file for ``table``, (rows, 1 + values); raises ParameterError."""
-    return _checked(f"table {fspath(path)!r}", _rows_of(fspath(path)))
+    return _checked(f"table {fspath(path)!r}", number_rows("table", path))
 
 
 def breaking(function: CoefficientFunction) -> tuple[list[CoefficientFunction], list[np.ndarray]]:
@@ -171,12 +171,18 @@ def _rows_from(times: Sequence[float], values: Sequence[float] | Sequence[Sequen
     return np.column_stack([first, rows])
 
 
-def _rows_of(path: str) -> np.ndarray:
+def number_rows(field: str, source: str | PathLike[str]) -> np.ndarray:
+    """The rows of numbers in a CSV file, (rows, columns), without comments after # and a line of names.
+
+    Commas or semicolons separate the numbers.  Raises ParameterError for the parameter ``field``.
+    """
+    path = fspath(require_file(field, source))
     try:
         with open(path, newline="", encoding="utf-8") as file:
-            lines = [(n, row) for n, row in enumerate(csv.reader(file), 1) if any(map(str.strip, row))]
+            cells = csv.reader(line.partition("#")[0].replace(";", ",") for line in file)
+            lines = [(n, row) for n, row in enumerate(cells, 1) if any(map(str.strip, row))]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise ParameterError("table", path, f"a CSV file that can be read ({error})") from None
+        raise ParameterError(field, path, f"a CSV file that can be read ({error})") from None
     rows: list[list[float]] = []
     for number, parts in lines:
         try:
@@ -185,9 +191,9 @@ def _rows_of(path: str) -> np.ndarray:
             if number == lines[0][0]:
                 continue  # line of the columns' names
             expected = f"numbers in line {number} of {path!r}"
-            raise ParameterError("table", ",".join(parts), expected) from None
+            raise ParameterError(field, ",".join(parts), expected) from None
         if len(rows[-1]) != len(rows[0]):
             count = f"{len(rows[-1])} numbers"
             expected = f"{len(rows[0])} numbers in line {number} of {path!r}, as in the lines before"
-            raise ParameterError("table", count, expected)
+            raise ParameterError(field, count, expected)
     return np.array(rows).reshape(len(rows), -1 if rows else 0)

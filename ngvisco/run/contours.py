@@ -11,9 +11,8 @@ from ngvisco.errors import ParameterError, Quantity, UnknownNameError, require_p
 from ngvisco.run.body_tables import require_bodies
 from ngvisco.run.files import AnyPath
 from ngvisco.run.fraction_samples import FractionSamples
-from ngvisco.run.frames import read_pvd
 from ngvisco.run.series import Every, Series
-from ngvisco.run.vtu import write_lines, write_pvd
+from ngvisco.run.vtu import StateFiles, write_lines
 
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
@@ -46,7 +45,7 @@ class Contours(Series):
     ) -> None:
         place = None if directory is None else require_path("Contours.directory", directory)
         super().__init__(None if place is None else place / "contours.csv", every)
-        self.directory, self.written = place, list[tuple[float, str]]()
+        self.files = None if place is None else StateFiles(place, "contours")
         self.bodies = None if bodies is None else require_some_names("Contours.bodies", bodies)
 
     def prepare(self, simulation: Simulation) -> list[str]:
@@ -64,21 +63,9 @@ class Contours(Series):
         return ["body", "line", "x", "y"]
 
     def start(self, simulation: Simulation) -> None:
-        self.written = []
-        if self.directory is not None:
-            self.directory.mkdir(parents=True, exist_ok=True)
-            if simulation.number > 0:
-                now = simulation.t * (1 + 1e-12)
-                self.written = [row for row in read_pvd(self.directory / "contours.pvd") if row[0] <= now]
-                simulation.ranks.on_first(self._remove_others)
+        if self.files is not None:
+            self.files.begin(simulation.t * (1 + 1e-12) if simulation.number else None, simulation.ranks)
         super().start(simulation)
-
-    def _remove_others(self) -> None:
-        assert self.directory is not None
-        kept = {name for _, name in self.written}
-        for path in self.directory.glob("contours_*.vtu"):
-            if path.name not in kept:
-                path.unlink()
 
     def _sample(self, simulation: Simulation) -> Any:
         self._fractions.read()
@@ -89,14 +76,9 @@ class Contours(Series):
                 rows.append(np.column_stack([np.tile([number, i], (len(line), 1)), line[:, :2]]))
                 segments.append(first + np.arange(len(line) - 1)[:, None] + [0, 1])
         table = np.concatenate(rows)
-        if self.directory is not None:
-            simulation.ranks.on_first(lambda: self._write(simulation, table, np.concatenate(segments)))
+        if (files := self.files) is not None:
+            path, columns = files.path(simulation.number), {"body": table[:, :1], "line": table[:, 1:2]}
+            points = np.pad(table[:, 2:], ((0, 0), (0, 1)))
+            simulation.ranks.on_first(lambda: write_lines(path, points, np.concatenate(segments), columns))
+            files.add(simulation.t, path.name, simulation.ranks)
         return table
-
-    def _write(self, simulation: Simulation, table: np.ndarray, segments: np.ndarray) -> None:
-        assert self.directory is not None
-        name = f"contours_{simulation.number:06d}.vtu"
-        columns = {"body": table[:, :1], "line": table[:, 1:2]}
-        write_lines(self.directory / name, np.pad(table[:, 2:], ((0, 0), (0, 1))), segments, columns)
-        self.written = [row for row in self.written if row[1] != name] + [(simulation.t, name)]
-        write_pvd(self.directory / "contours.pvd", self.written)

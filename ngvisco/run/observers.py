@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import re
 import statistics
 import sys
 import time as clock
@@ -26,9 +25,8 @@ from ngvisco.errors import (
 from ngvisco.forms.distance import NUMERICAL
 from ngvisco.run.fields import CONTINUOUS, usual, with_outlines
 from ngvisco.run.files import AnyPath, append, csv_text, write_atomically
-from ngvisco.run.frames import read_pvd
 from ngvisco.run.notebook import NotebookError
-from ngvisco.run.vtu import shown_by, write_pvd, write_vtu
+from ngvisco.run.vtu import StateFiles, shown_by, write_vtu
 
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
@@ -270,7 +268,7 @@ class VTKSeries:
         self.times = as_numbers("VTKSeries.times", times, "a sequence of finite numbers, in s")
         self.names = None if fields is None else require_some_names("VTKSeries.fields", fields)
         self.subdivision = SUBDIVISION.taken("VTKSeries.subdivision", subdivision)
-        self.written: list[tuple[float, str]] = []
+        self.files = StateFiles(self.directory, "fields")
 
     def prepare(self, simulation: Simulation) -> None:
         """Raise UnknownNameError for the name of a field that the simulation does not have."""
@@ -283,21 +281,9 @@ class VTKSeries:
         available = simulation.fields
         names = with_outlines(self.names or list(usual(available)), available)
         self._fields = {name: available[name] for name in names}
-        self.directory.mkdir(parents=True, exist_ok=True)
-        self.written = []
-        if simulation.number > 0:
-            now = simulation.t * (1 - 1e-12)
-            self.written = [row for row in read_pvd(self.directory / "fields.pvd") if row[0] < now]
-            simulation.ranks.on_first(self._remove_others)
+        self.files.begin(simulation.t * (1 - 1e-12) if simulation.number else None, simulation.ranks)
         if simulation.number == 0 or self._is_due(simulation):
             self._write(simulation)
-
-    def _remove_others(self) -> None:
-        kept = {name.partition(".")[0] for _, name in self.written}
-        for path in self.directory.glob("fields_*"):
-            match = re.fullmatch(r"(fields_\d{6})(_p\d+)?\.p?vtu", path.name)
-            if match is not None and match[1] not in kept:
-                path.unlink()
 
     def step(self, simulation: Simulation, row: dict[str, float]) -> None:
         if self._is_due(simulation):
@@ -308,15 +294,13 @@ class VTKSeries:
         return on_time or (self.every is not None and simulation.is_due(self.every))
 
     def finish(self, simulation: Simulation) -> None:
-        if not self.written or self.written[-1][0] != simulation.t:
+        if not self.files.written or self.files.written[-1][0] != simulation.t:
             self._write(simulation)
 
     def _write(self, simulation: Simulation) -> None:
-        path = self.directory / f"fields_{simulation.number:06d}.vtu"
+        path = self.files.path(simulation.number)
         write_vtu(path, simulation.mesh, self._fields, self.subdivision, {*self._fields} <= CONTINUOUS)
-        self.written.append((simulation.t, shown_by(path, simulation.ranks).name))
-        if simulation.ranks.is_first:
-            write_pvd(self.directory / "fields.pvd", self.written)
+        self.files.add(simulation.t, shown_by(path, simulation.ranks).name, simulation.ranks)
 
 
 NEGLIGIBLE = 1e-3

@@ -1,5 +1,6 @@
 """VTK files of fields: .vtu, over ranks the .pvtu of the ranks' pieces, and the .pvd of a series."""
 
+import re
 import struct
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -9,7 +10,7 @@ from ngsolve import CF, CoefficientFunction, Mesh, x, y, z
 
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.run.files import write_atomically
-from ngvisco.run.frames import COMPONENTS, places, sampled
+from ngvisco.run.frames import COMPONENTS, places, read_pvd, sampled
 
 
 def write_vtu(
@@ -82,12 +83,44 @@ _TYPES = {2: 3, 3: 5, 4: 10}
 """VTK's numbers for segments, triangles and tetrahedra, by their number of corners."""
 
 
-def write_pvd(path: Path, series: Sequence[tuple[float, str]]) -> None:
-    """Write the .pvd file that lists the states of a series: their times, s, and files."""
-    sets = "\n".join(
-        f'<DataSet timestep="{time!r}" group="" part="0" file="{name}"/>' for time, name in series
-    )
-    _write_xml(path, "Collection", f"<Collection>\n{sets}\n</Collection>")
+class StateFiles:
+    """The files of the states of a series, ``STEM_NUMBER.vtu``, and ``STEM.pvd``, which lists the files.
+
+    Attributes
+    ----------
+    written : list of (time, file)
+        The states so far, with times in s.
+    """
+
+    def __init__(self, directory: Path, stem: str) -> None:
+        self.directory, self._stem, self._list = directory, stem, directory / f"{stem}.pvd"
+        self.written: list[tuple[float, str]] = []
+
+    def begin(self, before: float | None, ranks: Communicator) -> None:
+        """Begin a series, or go on with the states before the time ``before``, s, and remove other files."""
+        self.directory.mkdir(parents=True, exist_ok=True)
+        self.written = []
+        if before is not None:
+            self.written = [state for state in read_pvd(self._list) if state[0] < before]
+            ranks.on_first(self._remove_others)
+
+    def _remove_others(self) -> None:
+        kept = {name.partition(".")[0] for _, name in self.written}
+        for path in self.directory.glob(f"{self._stem}_*"):
+            match = re.fullmatch(rf"({self._stem}_\d{{6}})(_p\d+)?\.p?vtu", path.name)
+            if match is not None and match[1] not in kept:
+                path.unlink()
+
+    def path(self, number: int) -> Path:
+        """The file of the state after ``number`` steps."""
+        return self.directory / f"{self._stem}_{number:06d}.vtu"
+
+    def add(self, time: float, name: str, ranks: Communicator) -> None:
+        """List a written file with its time, s; another file of this name is listed no more."""
+        self.written = [state for state in self.written if state[1] != name] + [(time, name)]
+        sets = (f'<DataSet timestep="{t!r}" group="" part="0" file="{file}"/>\n' for t, file in self.written)
+        if ranks.is_first:
+            _write_xml(self._list, "Collection", f"<Collection>\n{''.join(sets)}</Collection>")
 
 
 def shown_by(path: Path, ranks: Communicator) -> Path:

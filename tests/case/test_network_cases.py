@@ -100,6 +100,9 @@ def test_prony_rows_come_from_a_table(tmp_path):
     assert case.model(2).material == load_case(written(tmp_path, PRONY)).model(2).material
     assert "[0.3, 0.1]" in case.resolved.replace("\n", "")
     (tmp_path / "rows.csv").write_text("0.3, 0.1\n0.2\n")
+    with pytest.raises(CaseError, match=r"material\.prony.*2 numbers in line 2"):
+        load_case(written(tmp_path, PRONY, (rows, 'prony = { file = "rows.csv" }')))
+    (tmp_path / "rows.csv").write_text("0.3\n0.2\n")
     with pytest.raises(CaseError, match=r"material\.prony.*rows \[g, tau\]"):
         load_case(written(tmp_path, PRONY, (rows, 'prony = { file = "rows.csv" }')))
     with pytest.raises(CaseError, match=r"material\.prony.*can be read"):

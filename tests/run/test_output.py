@@ -68,7 +68,7 @@ def test_stresses_of_bodies_are_written_in_less_time_than_a_step_takes_and_with_
     series.start(run)
     series.finish(run)
     assert time.process_time() - began < taken
-    frame = read_frame(tmp_path / series.written[-1][1])
+    frame = read_frame(tmp_path / series.files.written[-1][1])
     assert frame.bodies == ["fluid_fraction"] and next(iter(frame.fields)) == "von_mises"
     assert len(frame.cells) == 16 * run.mesh.ne
     x, y, _ = frame.points[frame.cells[40]].mean(axis=0)
@@ -89,7 +89,7 @@ def test_writing_a_file_of_stresses_costs_less_than_a_tenth_of_a_step(tmp_path):
             began = time.process_time()
             work()
             spent[name].append(time.process_time() - began)
-    assert len(series.written) == 5
+    assert len(series.files.written) == 5
     assert np.median(spent["file"]) < 0.1 * np.median(spent["step"])
 
 
@@ -98,7 +98,7 @@ def test_a_velocity_alone_shares_the_points_of_its_cells(tmp_path):
     for names, count in ((["velocity"], run.mesh.nv), (["velocity", "density"], 3 * run.mesh.ne)):
         series = nv.VTKSeries(tmp_path / str(count), fields=names)
         series.start(run)
-        frame = read_frame(series.directory / series.written[-1][1])
+        frame = read_frame(series.directory / series.files.written[-1][1])
         assert len(frame.points) == count and len(frame.cells) == run.mesh.ne
         a = frame.points[frame.cells[2, 1]]
         assert frame.fields["velocity"][frame.cells[2, 1], :2] == pytest.approx(

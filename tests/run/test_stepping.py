@@ -49,7 +49,7 @@ def test_output_times_are_met_exactly_and_the_ledger_closes(tmp_path):
     ledger = run.run(0.2, stops=stops)
     times = ledger.column("time")
     assert {*stops, 0.2} <= set(times)  # equal to the last bit
-    assert [time for time, _ in series.written] == [0.0, *stops, 0.2]
+    assert [time for time, _ in series.files.written] == [0.0, *stops, 0.2]
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
     assert np.allclose(np.diff(times), ledger.column("dt")[1:], rtol=1e-12)
     assert ledger.column("dt").max() <= 0.04
@@ -189,7 +189,7 @@ def test_output_intervals_count_whole_steps(monkeypatch, tmp_path):
     assert run.number == 10 and run.step_number == 6
     whole = [0, 2 * DT, 4 * DT, 6 * DT]
     assert probes.column("time").tolist() == pytest.approx(whole)
-    assert [time for time, _ in vtk.written] == pytest.approx([0, 3 * DT, 6 * DT])
+    assert [time for time, _ in vtk.files.written] == pytest.approx([0, 3 * DT, 6 * DT])
     text = lines.getvalue()
     assert "step     2/6  t 0.08 s" in text and "step     2/6  t 0.04 s  rejected" in text
     assert "after 6 steps in 10 parts" in text and "step     3/6" not in text
@@ -299,8 +299,8 @@ def test_a_run_that_is_asked_to_stop_while_it_writes_begins_no_further_step(tmp_
     series = Asked(tmp_path, every=1)
     run = halving(observers=[series, nv.Checkpoints(tmp_path / "run.h5", every=100)])
     run.run(3 * DT)
-    assert (run.number, run.t) == (1, DT) and [time for time, _ in series.written] == [0.0, DT]
-    assert len(read_frame(tmp_path / series.written[-1][1]).cells) == run.mesh.ne
+    assert (run.number, run.t) == (1, DT) and [time for time, _ in series.files.written] == [0.0, DT]
+    assert len(read_frame(tmp_path / series.files.written[-1][1]).cells) == run.mesh.ne
     again = halving()
     again.restore(tmp_path / "run.h5")
     assert again.number == 1

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ngvisco.errors import ParameterError, Quantity, require_file
+from ngvisco.errors import ParameterError, Quantity
 from ngvisco.physics.activation import WLF, Activated
 from ngvisco.physics.flow_rules import Creep, FlowRule
 from ngvisco.physics.material import Material
@@ -22,6 +22,7 @@ from ngvisco.physics.materials.hyperelastic import (
 from ngvisco.physics.materials.linearised import LinearElastic
 from ngvisco.physics.materials.network import Branch, Network
 from ngvisco.physics.parameters import Modulus
+from ngvisco.physics.signals import number_rows
 
 SPRING = "spring"
 """Name of the branch that does not relax; the others are ``mode_1``, ``mode_2``, ..."""
@@ -106,24 +107,11 @@ def prony_network(
 
 
 def read_prony(path: str | os.PathLike[str]) -> np.ndarray:
-    """The rows (g_i, tau_i), (n, 2), of a CSV file; lines of words and lines that begin with # are skipped.
+    """The rows (g_i, tau_i), (n, 2), of a CSV file, without comments after # and a line of names.
 
     Raises ParameterError for a file that cannot be read, or with rows other than two numbers.
     """
-    rows = []
-    try:
-        with require_file("read_prony.path", path).open(encoding="utf-8") as file:
-            for line in file:
-                cells = line.split("#")[0].replace(";", ",").split(",")
-                try:
-                    rows.append([float(cell) for cell in cells])
-                except ValueError:
-                    if any(character.isdigit() for character in cells[0][:1]):
-                        given = f"a file with the line {line.strip()}"
-                        raise ParameterError("read_prony.path", given, "rows of two numbers") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise ParameterError("read_prony.path", str(path), f"a CSV file that can be read: {error}") from error
-    return _table(rows)
+    return _table(number_rows("read_prony.path", path).tolist())
 
 
 def _table(prony: Any) -> np.ndarray:
