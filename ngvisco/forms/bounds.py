@@ -205,8 +205,8 @@ class Bounds:
         """Message that the present state is not admissible, or None: rho, J, ... or the temperature is not
         positive, or a value is not a number.  A state out of bounds is kept as ``refused``.
 
-        A state that ``is_solved`` must have a stored energy.  The extrapolated end of a step may get a stored
-        energy only by the limiter, so that ``lack`` checks this energy afterwards.
+        A state that ``is_solved`` must have a stored energy. The extrapolated end of a step may have no
+        energy before it is limited, so that ``lack`` checks its energy after the limiter.
         """
         violation = self.violation()
         if violation is not None:
@@ -296,8 +296,8 @@ class Bounds:
     def limit(self, tau: float = 0.0) -> int:
         """Limit the present state, whose means are within their bounds; return the number of limited cells.
 
-        Only rho and z change, and only in cells that are out of bounds at a point.  With
-        ``Discretisation.sharp``, and at the end of a step of length ``tau``, s, bodies are first separated.
+        Only rho and z change, and only in cells that are out of bounds at a point.  If ``tau``, the length of
+        a step that ends in the state, s, is given, ``Discretisation.sharp`` first separates the bodies.
         """
         if self.sharpening is not None and tau > 0:
             self.sharpening.put_apart(tau)

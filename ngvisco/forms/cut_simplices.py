@@ -5,9 +5,9 @@ A linear function h with values at the vertices of a simplex, of dimension d, is
 
     s = sum over the v_i > 0 of v_i^d / prod_{j != i} (v_i - v_j)
 
-of it.  If a vertex is given twice, s is weighted with (d + 1) lambda of this vertex.  The share of a volume
-with a linear weight w, as r about an axis, is therefore sum_c w_c s_c / sum_c w_c, where s_c has vertex c
-twice.
+of it.  If a vertex is given twice, s becomes the share of the volume with the weight (d + 1) lambda of this
+vertex.  The share of a volume with a linear weight w, as r about an axis, is therefore sum_c w_c s_c / sum_c
+w_c, where s_c has vertex c twice.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def share_above(values: np.ndarray, weights: np.ndarray | None = None) -> np.nda
 
 
 def level(heights: np.ndarray, theta: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
-    """Level of linear functions with the values ``heights``, (cells, corners), that they exceed in the share
+    """Levels that linear functions with the values ``heights``, (cells, corners), exceed in the share
     ``theta``, (cells,), of their cells; ``weights`` are those of ``share_above``.
 
     ``heights`` may also be (cells, pieces, corners) for functions that are linear in equal pieces of a cell.

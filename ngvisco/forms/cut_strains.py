@@ -1,7 +1,8 @@
 """Tensors of bodies with sharp interfaces: slopes in cut cells, and determinants that follow from the volume.
 
-By the rates det B = J^p, since tr Pi = 0, and J = 1/N.  The mean of the tensors of unequally strained matter
-has a larger determinant, and no flow takes this mean back to I: strain would stay in a body that has none.
+The rates of B and J keep det B = J^p, since tr Pi = 0; here J = 1/N. The mean of the tensors of unequally
+strained matter has a larger determinant, and no flow takes this mean back to I: a body without strain would
+keep a strain.
 """
 
 from __future__ import annotations
@@ -23,8 +24,9 @@ _LEAST_DET = 0.05
 def quotients(amount: np.ndarray, X: np.ndarray, total: np.ndarray) -> np.ndarray:
     """Linear B, values at corners of cells, (components, cells, corners): X/n projected with the weight n.
 
-    ``amount`` has the values of n, (cells, corners), and ``X`` those of its tensors. Where n vanishes, a
-    trace of the mean amount of all matter, ``total``, (cells,), with the mean of X/n bounds B.
+    ``amount`` has the values of n, (cells, corners), and ``X`` those of its tensors. B stays bounded where n
+    vanishes, because a trace of the mean amount of all matter, ``total``, (cells,), is added with the mean of
+    X/n.
     """
     trace, one = LEAST * total, np.eye(amount.shape[1])
     amount = np.maximum(amount, 0.0) + trace[:, None]
@@ -61,7 +63,7 @@ class Determinants:
         """Bring det B to its value in place, for values ``u`` at corners, (components, cells, corners), with
         the integrals ``masses``, (cells, corners).
 
-        Where det B is too small, a share of the change is made, with which the energy does not rise.
+        Where det B is too small, only a share of the change is made, so that the energy does not rise.
         """
         total, d = u[self._amounts].sum(axis=0), self._strained
         for n, tensors in zip(self._amounts, self._tensors, strict=True):

@@ -1,10 +1,10 @@
 """Outlines of bodies in cells: level lines of a carried distance that cut off the bodies' volumes.
 
 A body's signed distance phi from its outline at the start is carried with the flow, as a discontinuous
-polynomial.  In a cell with the fraction theta of the body its part is phi > c, c being the level with this
-share of the cell.  Therefore the part has the volume that belongs to the body's amount. The outline in the
-cell may be curved or consist of several parts: a slot or a film that is thinner than the cell has two sides.
-Shares are sums over sub-cells, in which phi is linear.
+polynomial.  In a cell with the fraction theta, the body's part is phi > c, where the level c is chosen so
+that the part has the share theta of the cell.  Therefore the part has the volume that belongs to the body's
+amount. The outline in the cell may be curved or consist of several parts: a slot or a film that is thinner
+than the cell has two sides. Shares are sums over sub-cells, in which phi is linear.
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 
 Transport smears a jump of the amounts n_i over more and more cells. After each step
 (``Discretisation.sharp``) two moves separate bodies i and j in cells that contain no other body, and a third
-move restores determinants. There are no planes in cells with more bodies, nor in cells that an interface
-passes in one step, which are lower than the strips swept through them. In cells with more bodies negative
-means are filled up too, and one factor for all slopes brings fractions into [0, 1].
+move restores determinants. No planes are placed in cells with more than two bodies, and none in cells that an
+interface passes within one step, which are lower than the strips swept through them. In cells with more than
+two bodies negative means are filled up too, and one factor for all slopes brings fractions into [0, 1].
 
 1. *Between cells.*  The step has carried the amounts F_i, F_j out of a cell through a facet.  At the start
    of the step a plane bounds body i in this cell; the share s of the strip that was swept through the facet
@@ -20,7 +20,7 @@ means are filled up too, and one factor for all slopes brings fractions into [0,
    that theta_i is in [0, 1]; n_j becomes the rest of n_i + n_j, and X becomes n B.  B has the slopes
    of the quotient X/n that the step has carried, projected with the weight n, and the mean that keeps int X.
 3. *Determinants.*  At corners of cells det B gets the value that follows from N.  Where det B was too small,
-   the same share of the change is made everywhere, with which the sum of the energies does not rise.
+  a share of the change is made, the same share everywhere, so that the sum of the energies does not rise.
 
 The normal of the plane that bounds body i in a cell is the slope of theta_i averaged at the vertices; the
 plane cuts off the mean of theta_i from the cell.  The strip is a prism between the facet and its place

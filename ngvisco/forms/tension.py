@@ -54,7 +54,8 @@ class Tension:
 
 
 def unborne_weight(step: Step, sampler: Sampler) -> str | None:
-    """Message of a start whose pressure, read by a law, does not bear the weight; else None."""
+    """Message about a start whose pressure does not bear the weight although a law reads this pressure; else
+    None."""
     laws, ranks, dim = readers(step.model), sampler.ranks, step.mesh.dim
     loads = (load for load in step.model.loads if load.is_weight)
     weight = sum((step.now.rho * force_of(load, dim) for load in loads), CF((0.0,) * dim))

@@ -194,10 +194,10 @@ class PointTerm:
         return []
 
     def degree(self, k: int, m: int, rates: Any) -> int | None:
-        """Polynomial degree of ``cells`` on straight cells, for orders k of v and m of the fields.
+        """Polynomial degree of ``cells`` on straight cells, for orders k of v and m of the fields, which the
+        split solver's quadrature rule has.
 
-        None if the integrands are no polynomials, or read data other than the old fields.  The split solver
-        takes a rule of this degree.
+        None if the integrands are no polynomials, or read data other than the old fields.
         """
         return None
 

@@ -27,8 +27,8 @@ class _Activation(Checked):
 
     @property
     def _reads(self) -> set[str]:
-        """Names of the values that the factor reads: the material's temperature if ``temperature`` is None,
-        and the pressure if V is not 0."""
+        """Names of the values that the factor depends on: the material's temperature if ``temperature`` is
+        None, and the pressure if V is not 0."""
         return ({TEMPERATURE} if self.temperature is None else set()) | ({PRESSURE} if self.V else set())
 
     def factor(self, z: Values) -> Any:

@@ -24,8 +24,8 @@ from ngvisco.physics.tensors import IDENTITY, Tensor, if_positive, sqrt
 from ngvisco.physics.variables import CreepFrame, PerVolume, Values, Variable
 
 NO_INTERFACE = 1e-6
-"""A cell has no interface if a fraction, or a logarithm that bodies average, changes by less than this number
-over the cell, because the direction of a slope that is rounding has no meaning."""
+"""Least change of a fraction, or of a logarithm that bodies average, over a cell with an interface. The slope
+of a smaller change is rounding, whose direction has no meaning."""
 
 TRACE = 1e-3
 """An absent body counts with this share of the amount of all matter, at rest."""

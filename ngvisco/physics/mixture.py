@@ -63,8 +63,8 @@ from ngvisco.physics.tensors import IDENTITY, Tensor, identity_like
 from ngvisco.physics.variables import PRESSURE, Jacobian, Values, Variable
 
 _LIGHTEST = "the density, less half of that of the lightest body"
-"""Name of the bound on the density, without which the bodies' forces would throw away matter lighter than
-every body."""
+"""Name of the bound on the density. Without this bound the forces of bodies would accelerate matter that is
+lighter than every body."""
 
 _SAME = 1e-9
 """Relative difference below which two volumetric energies count as one function."""
@@ -83,8 +83,8 @@ class Mixture(Material):
     carried: tuple[Parameter, ...] = ()
     """Parameters of the other laws of the model."""
     are_apart: bool = False
-    """Whether each step ends with a separation of the bodies, so that a fraction is that of a cell which an
-    interface cuts, and not that of a mixture."""
+    """Whether each step ends with a separation of the bodies. A fraction then belongs to a cell that an
+    interface cuts, and not to a mixture."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "bodies", tuple(_with_own_names(body) for body in self.bodies))

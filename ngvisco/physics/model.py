@@ -71,7 +71,7 @@ class CreepMechanism:
         return z["A"] if self.fractions is None else self.fractions.total(z)
 
     def amount(self, z: Values) -> Any:
-        """The factor of dk/dt in the rate of K: A, or n_i > 0 of the body."""
+        """The factor of dk/dt in the rate of K: A, or the amount n_i > 0 of the body."""
         return self.share(z) * self.matter(z)
 
 

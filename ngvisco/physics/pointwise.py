@@ -27,7 +27,8 @@ Both: TypeAlias = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 """Function of components, (N, points): the energies, (points,), and their slopes, (N, points)."""
 
 _DIFFERENCE = 1e-4
-"""Relative difference from the slope's central differences above which a Hessian is wrong."""
+"""A Hessian is wrong if it differs from central differences of the slope by more than this relative
+number."""
 
 
 def sampled_energies(material: Material, dim: int) -> str:

@@ -5,8 +5,9 @@ repeats these operations without the function's own code, which takes longer tha
 are small.  Operations on constants alone are not noted, since their results are stored; equal operations are
 noted once, and operations that no result needs are left out.  The results are the same to the bit.
 
-Arrays that the function does not get as arguments are constants of its program, except those that it reads by
-``datum``: a program reads these again after each ``begin``, and repeats the operations on them alone once.
+All other arrays that the function uses are constants of its program, except arrays that it reads by
+``datum``. After each ``begin`` a program reads such data again, and carries out once the operations that
+depend on data alone.
 
 What a function does must not depend on values: a decision by a value, and code other than NumPy's, raises
 TypeError.  Such code has to be ``called``, if it is a function of arrays that leaves its
@@ -136,7 +137,7 @@ class Program:
         return Recorded(self, self._data[key][0])
 
     def begin(self) -> None:
-        """Say that data may have changed: the next call reads them."""
+        """Declare that data may have changed, so that the next call reads them."""
         self._has_begun = False
 
     def _finish(self) -> None:

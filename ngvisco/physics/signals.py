@@ -124,7 +124,7 @@ def read_table(path: str | PathLike[str]) -> np.ndarray:
 def breaking(function: CoefficientFunction) -> tuple[list[CoefficientFunction], list[np.ndarray]]:
     """Discontinuities of a function of time: arguments of its ``IfPos``, and times of tables, s.
 
-    The times are those of all tables of this process; a rule with more breaks than necessary is right, too.
+    The times are those of all tables of this process, because additional breaks do no harm to a rule.
     """
     return list(_choices(function)), list(_knots.values()) if "bspline" in str(function) else []
 

@@ -29,7 +29,7 @@ class Programs:
         self.varying: set[Hashable] = set()
         """Names of functions that are recorded in each step."""
         self._compared: set[Hashable] = set()
-        """Names of functions of whose programs one had the bits of the function in a second step."""
+        """Names of functions whose program has given the same bits as the function in a second step."""
         self._numbers: tuple[float, ...] = ()
         self._runs, self._begun = False, set[Hashable]()
         """Whether programs evaluate functions now; and names of the programs of earlier steps."""

@@ -51,8 +51,8 @@ TOGETHER = 24_000
 RECORDED = 8_000
 """Largest number of points in cells for which programs keep the data of a step."""
 PROGRAMMED = 200_000
-"""Largest number of points in cells for which programs evaluate the terms: on larger meshes they save hardly
-any time, and with what recording leaves in memory they take 3 kB a tetrahedron."""
+"""Largest number of points in cells for which programs evaluate the terms. On larger meshes programs save
+hardly any time, and recording takes 3 kB of memory a tetrahedron."""
 
 
 @dataclass

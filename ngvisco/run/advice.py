@@ -28,10 +28,10 @@ _LOCKS = 10.0
 sinks.  Cells with k = 2 damp flows above the same ratio of the modulus and rho v^2: with the ratios 10, 30,
 100 and 10,000 the vortices of Taylor and Green lose 0.8, 2.2, 3.1 and 3.7 % more energy than with k = 3."""
 _SLOW = 100.0
-"""Number of times that waves cross the domain in a step, above which inertia has no part in the motion."""
+"""If waves cross the domain more often than this in a step, inertia has no part in the motion."""
 _SINKS, _SMALL = 0.05, 0.01
-"""Relative compressions of a body by its own weight: the least that is reported, and one that is small
-enough."""
+"""Relative compressions of a body by its own weight: the least compression that is reported, and the
+compression that the advice aims at."""
 _SMEARED = 4.8
 """Cells across a body whose interface fills a quarter of the body after a strain of one.  In measurements
 interfaces were 1.2 s^(1/4) cells wide after a strain s.  Where the interface filled a quarter of a body, the
@@ -82,10 +82,9 @@ class Scales:
     is_sharp: bool = False
     """Whether bodies are separated at the end of each step."""
     parting: str | None = None
-    """Warning in words about variables of one distortion, which may drift apart; empty without such a
-    warning."""
+    """Warning that variables of one distortion may drift apart; empty without such a warning."""
     unborne: str | None = None
-    """Warning in words about a pressure at the start that a law cannot bear; empty without such a warning."""
+    """Warning of a pressure at the start that does not bear the weight; empty without such a warning."""
     k: int = 2
     """Order of the velocity."""
     longest: float = 0.0

@@ -247,7 +247,7 @@ class Bodies(Series):
 
     @property
     def jumping(self) -> dict[str, str]:
-        """Columns that have no derivative with respect to the state, with the reason."""
+        """Columns without a derivative with respect to the state, and the reason."""
         axes = "xyz"[: self.fractions.dim]
         extents = [f"{axis}_{end}" for axis in axes for end in ("min", "max")]
         reasons = dict.fromkeys(extents, "an extent jumps between points of the quadrature")

@@ -14,8 +14,8 @@ from ngvisco.physics.material import rest_stress_and_modulus
 from ngvisco.physics.tensors import square, sym
 
 _MATTERS = 0.01
-"""Share of all powers that matter may lose where it flows in, and of the mass that may come in with a density
-that nothing determines; a run warns of a larger one."""
+"""Shares above which a run warns: of all powers, lost by entering matter, and of the mass, entered with an
+undetermined density."""
 _FILLED = 0.2
 """Stresses are compared after this share of the mass has come in, because before this the stress inside is
 that of the start."""
@@ -35,10 +35,10 @@ class Inlets:
 
     Two measures tell whether the given values have another stress than the body. One is the power that is
     lost where given values and the body meet; in slow straining this power is small beside other powers. The
-    other is the difference of the stresses' deviators, relative to elastic and viscous stresses. The
-    difference of pressures enters only by the lost power: matter that is hardly compressed has its
-    neighbours' density at any pressure. Temperatures mix by their nature and bring no warning.  Bodies whose
-    amounts are given come in unstrained.
+    other is the difference of the stresses' deviators, relative to elastic and viscous stresses. Pressures
+    are compared only by the lost power, because nearly incompressible matter has the density of its
+    neighbours at any pressure. Temperatures mix by their nature and bring no warning.  Bodies whose amounts
+    are given come in unstrained.
     """
 
     def __init__(self, step: Step) -> None:

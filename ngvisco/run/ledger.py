@@ -282,7 +282,7 @@ class Ledger:
             self.entries.append(Entry(name, kind, Integrand()))
 
     def add_once(self, name: str, value: float) -> None:
-        """Put the energy ``value``, J, of a transfer into the column ``name`` of the next row."""
+        """Add the energy of a transfer, ``value``, J, to the column ``name`` of the next row."""
         self.keep([name])
         self._pending[name] = value
 

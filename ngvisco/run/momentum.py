@@ -105,7 +105,7 @@ class Momentum:
         return dict(zip([*self._names("momentum"), SIZE], parts, strict=True))
 
     def foreign(self, names: Iterable[str]) -> list[str]:
-        """Columns of impulses that an earlier part of the run has, but not this part."""
+        """Columns of impulses in an earlier part of the run that this part does not have."""
         names = set(names)
         return [name for quantity in self._others(names) for name in self._names(quantity) if name in names]
 
@@ -115,7 +115,7 @@ class Momentum:
         return sorted(set(impulses) - {*self._given, *self._at_once})
 
     def keep(self, names: Iterable[str]) -> None:
-        """Add columns for those impulses in ``names`` that this part of the run does not have."""
+        """Add columns for the impulses in ``names`` that this part of the run does not have."""
         self._at_once += self._others(names)
 
     def forces(self) -> dict[str, float]:
@@ -142,7 +142,7 @@ class Momentum:
 
     @property
     def held(self) -> dict[str, int]:
-        """The columns of the impulse of walls that hold v; a column's value is the number of its motion."""
+        """The columns of the impulse of walls that hold v, and the number of each column's motion."""
         name = IMPULSE + HELD_BY_WALLS
         return {column: i for i, column in enumerate(self._names(name))} if name in self._given else {}
 

@@ -71,7 +71,7 @@ class Progress:
         self._lap, self._costs, self._dear = self._began, list[float](), ""
 
     def _timed(self) -> None:
-        """Note the seconds since the last step's end, and print them if they are many."""
+        """Record the seconds since the end of the last step; the step's line has them if they are many."""
         now = clock.perf_counter()
         cost, self._lap = now - self._lap, now
         usual = statistics.median(self._costs) if len(self._costs) >= _STEPS_BEFORE else math.inf

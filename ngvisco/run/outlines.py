@@ -237,7 +237,8 @@ def facing(points: np.ndarray, outwards: np.ndarray, sizes: np.ndarray, images: 
 
 
 def level_surface(corners: np.ndarray, values: np.ndarray, level: float) -> tuple[np.ndarray, np.ndarray]:
-    """The middle of the surface of a level in each simplex that has one, and its unit normal down the slope.
+    """In each simplex that a level cuts: the middle of the level's surface, and its unit normal, which points
+    down the slope.
 
     ``corners``, (simplices, dim + 1, dim), and ``values``, (simplices, dim + 1), are those of simplices with
     such a surface.

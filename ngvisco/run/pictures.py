@@ -362,8 +362,8 @@ def _writer(kind: str, rate: float) -> Any:
         return FFMpegWriter(fps=rate, extra_args=["-vf", even, "-pix_fmt", "yuv420p"])  # type: ignore[arg-type]
 
     class Gif(PillowWriter):
-        """Write a gif with the scale's colours and greys; with 256 colours of Pillow's choice a scale would
-        have steps."""
+        """Write a gif whose palette has the colours of the scale and greys. With 256 colours chosen by Pillow
+        the scale would have steps."""
 
         def finish(self) -> None:
             frames = vars(self)["_frames"]

@@ -235,8 +235,8 @@ class _First:
     def _refined(self, present: Mesh | None, marked: np.ndarray) -> bytes | None:
         """File of the next mesh; None if the next mesh is ``present``.
 
-        The next mesh divides the cells of the first mesh that lie in a marked cell of ``present``, or contain
-        one.
+        In the next mesh those cells of the first mesh are divided that lie in a marked cell of ``present``,
+        or contain one.
         """
         assert present is not None
         mesh = mesh_of(self._image)  # Netgen's ``Copy`` forgets identified walls

@@ -1,4 +1,4 @@
-"""Warns of a body two parts of whose surface transmit forces before they touch."""
+"""Warns if two parts of a body's surface transmit forces before they touch."""
 
 from __future__ import annotations
 

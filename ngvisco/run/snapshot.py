@@ -255,7 +255,7 @@ def _rows(path: Path, ledger: Mapping[str, np.ndarray], columns: Sequence[str]) 
 
 
 def identity(simulation: RunState) -> dict[str, Any]:
-    """Data that must be equal for a checkpoint to fit, on the first rank: format, mesh, spaces, material.
+    """Data of a run that a checkpoint must share, on the first rank: format, mesh, spaces, material.
 
     A material is identified by its parameters and by energies at some states, since different functions may
     have one name.

@@ -43,8 +43,8 @@ class Adjoint:
         For each parameter its neighbours, runs with other values of the parameter. A parameter of start
         values changes the start alone.
     ends, means : arrays, (numbers, steps + 1, columns)
-        Derivatives of the numbers by the columns at the start and the ends of steps, and by the columns'
-        means over the stages of the step before.
+        Derivatives of the numbers by the columns at the start and at the ends of steps, and by the columns'
+        means over the stages of the step that ends there.
     """
 
     def __init__(

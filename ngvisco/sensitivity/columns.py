@@ -32,8 +32,8 @@ _REFUSED = {
     SIZE: "this column has kinks where matter comes to rest",
     RELATIVE: "this column is relative to the largest values of all steps and directions",
 }
-"""Reasons why columns of the ledger have no derivative.  Other columns without a derivative judge a step's
-length."""
+"""Reasons why columns of the ledger have no derivative. All other columns without a derivative belong to the
+choice of a step's length."""
 NORMS = ("J_defect", "defect_rms")
 """Columns of norms of defects; they have no derivative where they are zero."""
 
@@ -62,7 +62,7 @@ class Columns:
     """
 
     has_ends = has_means = True
-    """Whether values at the ends of steps are read, and whether means over stages are."""
+    """Whether a column needs values at the ends of steps, and whether it needs means over stages."""
 
     def __init__(self, simulation: Simulation, names: Sequence[str], tables: Sequence[Series]) -> None:
         self.simulation, self.names = simulation, list(names)

@@ -40,7 +40,8 @@ class Follower:
         return self.step.evolved()
 
     def pose(self, stage: Stage, states: Sequence[Evolved]) -> None:
-        """Pose the equations of a stage: set its times, and its old state from states y_0, y_1, ..."""
+        """Pose the equations of a stage: set the stage's times, and its old state from the states y_0, y_1,
+        ..."""
         step, at = self.step, stage.interval
         step.context.set_step(at.tau, at.end, at.loads_from, at.loads_over, at.loads_tilt)
         step.start_from(list(zip(stage.starts, states, strict=False)))

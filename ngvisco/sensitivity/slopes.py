@@ -96,8 +96,7 @@ class Slopes:
         return slopes | {name: variations.of(integrands[name]) for name in names if name in integrands}
 
     def _reading_start(self) -> set[str]:
-        """Names of the columns whose integrands or fields read the start of a stage; defects are among
-        them."""
+        """Names of the columns whose integrands or fields read the start of a stage, and of all defects."""
         names = set(self.follower.simulation.ledger.momentum.of_steps)
         for term in self.step.terms:
             u, reads_start = self.starts.fields()

@@ -9,11 +9,11 @@ increments are measured with one scale, the larger of the scales before and afte
 too long makes the scale grow, and would pass a test by two scales.
 
 Rounding. The residual is a sum of parts that cancel. Near F = I the parts of the elastic force have the size
-of the modulus G, and the rounding of the parts leaves a force of eps G/h. No stiffness resists a force that
-moves the body as a whole, so that v is known only to eps G tau/(rho h). To measure this noise, every number
-of the state is perturbed by one unit in its last place; the increment changes by the noise, which no
-iteration can remove. If a fresh Jacobian no longer advances the iteration, an increment as small as the noise
-is accepted, and also an increment below the tolerance in the norm with the coarse floor.
+of the modulus G, and their rounding leaves a force of eps G/h. No stiffness resists a force that moves the
+body as a whole, so that v is known only to eps G tau/(rho h). To measure this noise, every number of the
+state is perturbed by one unit in its last place; the increment changes by the noise, which no iteration can
+remove. If a fresh Jacobian no longer advances the iteration, an increment as small as the noise is accepted,
+and also an increment below the tolerance in the norm with the coarse floor.
 """
 
 from __future__ import annotations

@@ -47,9 +47,9 @@ class SplitOptions:
     renewed_after: Count = 30
     """Cost of a new operator and preconditioner, in GMRES iterations for the flow.
 
-    Operator and preconditioner are renewed when the increments have taken more than this number of iterations
-    in excess of the iterations that new ones would have taken, or will take them by the contractions so far.
-    A renewal takes as long as 30 to 65 iterations.
+    Operator and preconditioner are renewed when the increments have taken this number of iterations more than
+    with a new operator, or will take so many more by the contractions so far. A renewal takes as long as 30
+    to 65 iterations.
     """
     renewed_above: Positive = 0.05
     """Increment above which operator and preconditioner are renewed; after a smaller increment only the

@@ -14,8 +14,7 @@ from ngvisco.parallel.communicator import Communicator
 from ngvisco.reduced.unknowns import Unknowns
 
 FARTHEST = 3.0
-"""Largest ratio of the time from the last solution to the step's end, to the time between the two
-solutions."""
+"""Largest ratio of two times: from the last solution to the step's end, and between the two solutions."""
 
 LARGEST_CHANGE = 0.5
 """Largest relative change of density and elastic variables by extrapolation; it keeps them in the domain of

@@ -45,9 +45,9 @@ tau^2."""
 _MEETINGS, _MEETING = 6, 1e-13
 """Most Rothe steps to make a relaxed step end at a given time, and the relative tolerance on its length."""
 _NOISE_MARGIN, _NOISE_DRAWS = 5.0, 8
-"""Rounding of R over the distance between a state and a copy with random rounding errors, and the number of
-copies.  The root mean square distance of these copies is taken, because a single distance may vanish by
-chance."""
+"""Ratio of the rounding of R to the distance between a state and a copy with random rounding errors, and the
+number of copies.  The root mean square distance of these copies is taken, because a single distance may
+vanish by chance."""
 
 
 class CarriedField(Protocol):

@@ -142,8 +142,8 @@ class WallProjection:
 class VelocityOfMomentum:
     """Solver for the velocity in a state from rho > 0, kg/m^3, and m, kg/(m^2 s).
 
-    v of the state is the start value and has the prescribed coefficients.  m has values at the points of
-    ``quadrature``; ``term`` is None without multipliers.
+    The state's v is the start value of the iteration, and has the prescribed coefficients.  m has values at
+    the points of ``quadrature``; ``term`` is None without multipliers.
     """
 
     def __init__(

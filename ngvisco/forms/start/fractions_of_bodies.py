@@ -26,7 +26,8 @@ _OVERLAP = 1e-3
 _COVERED = 1e-10
 """The share of the volume of the domain or of a cell below which uncovered volume is rounding."""
 _OFF = 1e-4
-"""Largest difference of a given tensor's determinant from its right value, over the largest right value."""
+"""Largest admitted difference of a given tensor's determinant from its right value, over the largest right
+value."""
 _DEGREE = 6
 """Degree of the rule whose points on walls are checked."""
 

@@ -15,8 +15,8 @@ PointRate: TypeAlias = Callable[[np.ndarray], np.ndarray]
 
 _ITERATIONS, _HALVINGS = 50, 20
 _LAST, _NEAR, _TURNED = 1e-8, 1e-12, 1e-10
-"""Relative increments of |M| and of all components below which Newton's method ends.  The last number is the
-largest part of c rate(M) across Y, over |Y|, with which the rate counts as a multiple of M."""
+"""Relative increments of |M| and of all components below which Newton's method ends.  A rate counts as a
+multiple of M if the part of c rate(M) normal to Y is at most the last number times |Y|."""
 
 
 def slope_of(rate: PointRate, M: np.ndarray) -> np.ndarray:

@@ -218,7 +218,7 @@ class Thermal(Material):
         )
 
     def of_heat(self, z: Values) -> Tensor:
-        """The thermal part of the energy, Pa: the energy less that of ``isothermal_material``."""
+        """The thermal part of the energy, Pa: the energy minus the energy of ``isothermal_material``."""
         A, heat, J = z["A"], self.c * self.theta_R, 1 / z["A"]
         unit = self.entropy.unit / self.c
         if self.coupling and self.isothermal_material.lagged:

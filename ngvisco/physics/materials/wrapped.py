@@ -31,7 +31,7 @@ class Carrying(Wrapper):
     """
 
     carried: tuple[Parameter, ...] = ()
-    """Parameters of the material's moduli and of the model's other laws that the material does not carry."""
+    """Parameters that the material itself does not carry, of its moduli and of the model's other laws."""
     hardening: tuple[tuple[PlasticContent, Hardening], ...] = ()
     """Pairs of a carried plastic content and its energy, one for each branch that hardens."""
 

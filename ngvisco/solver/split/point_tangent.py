@@ -73,7 +73,7 @@ class _AtPoints:
             yield some, {name: derivative_of(g, k) for name, g in read(changed, k).items()}
 
     def _factors(self, terms: CellTerms, u: Fields) -> dict[str, np.ndarray]:
-        """Factors of the terms ``asked``."""
+        """Factors of the tests in the terms ``asked``."""
         return terms.factors(self._asked, u)
 
     def _places(self, cells: slice) -> slice:

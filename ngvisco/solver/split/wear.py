@@ -1,4 +1,4 @@
-"""Counts what an old tangent costs, in directions of GMRES, and says when a new tangent saves time.
+"""Counts the cost of an old tangent in directions of GMRES, and decides when a new tangent saves time.
 
 An increment with an old tangent takes more directions than the first increment did. The tangent is renewed
 when the sum of the further directions exceeds the cost of a renewal, so that a run spends at most twice the
@@ -31,7 +31,7 @@ class Wear:
         unknown."""
 
     def renew(self) -> None:
-        """Begin with a new tangent."""
+        """Begin to count for a new tangent."""
         self._first = self._beyond = 0
         self._present = 0.0
 
