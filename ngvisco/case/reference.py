@@ -90,7 +90,7 @@ def _same_keys() -> dict[tuple[str, ...], tuple[str, ...]]:
 
 
 def _listed(user_path: tuple[str, ...]) -> tuple[str, ...]:
-    """The path under which a key is listed, for a key of a table with the keys of another one."""
+    """The path under which the reference lists a key: tables with equal keys are listed once."""
     for place, same in _same_keys().items():
         if len(user_path) > len(place) and matches(place, user_path[: len(place)]):
             return _listed((*same, *user_path[len(place) :]))

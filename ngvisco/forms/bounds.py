@@ -61,7 +61,7 @@ _HALVINGS = 45
 continuously on the state before limiting."""
 
 _ON_WALL = 1e-9  # distance below which a point counts as on a wall, over the size of its cell
-_UNREAD = 1e-14  # size of phi' by a variable, over the median size of phi' in the mesh, which counts as zero
+_UNREAD = 1e-14  # size of phi' by a variable that counts as zero, over the median size of phi'
 
 
 @dataclass(frozen=True)

@@ -92,7 +92,7 @@ _POWER, _PRODUCTION = "power_heat_damage", PRODUCTION + "damage"
 """Ledger columns of the heat from damage, W, and of its entropy, W/K."""
 
 _NEWTON, _ROUNDING = 10, 1e-15
-"""Largest number of Newton steps for c_K, and the accepted defect relative to the energy."""
+"""Largest number of Newton steps for c_K, and the largest accepted defect, relative to the energy."""
 
 
 class Breaking(Protocol):

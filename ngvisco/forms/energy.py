@@ -154,7 +154,7 @@ class PointwiseEnergy(StoredEnergy):
     def slope(self, u: UnknownValues) -> CoefficientFunction:
         if u is not self.fields and u in self._values:
             return self._values[u].slope
-        now = self._values[self.fields]  # also for trial functions, with the derivative by z at the state
+        now = self._values[self.fields]  # linear in u.z, since u may have trial functions
         return now.slope + self._hessian.Reshape((self._size, self._size)) * (u.z - now.state)
 
     def tested_slope(self, u: UnknownValues, w: UnknownValues) -> list[CoefficientFunction]:

@@ -1,7 +1,7 @@
 """Changes of a body's momentum in a step: impulses by name, and the defects of the discretisation.
 
 The equations of a step are tested with rigid motions e, which are the constants and the rotations about the
-origin. On straight cells these are functions of the velocity's space.  With m the momentum functional <m, w>
+origin. On straight cells rigid motions belong to the velocity's space.  With m the momentum functional <m, w>
 = int rho v . w
 
     <m - m_old, e>/tau = sum of forces + thrust of jumps + rest of cells + rest of inertia,

@@ -236,8 +236,8 @@ class Sharpening:
     def _defects(self, i: int, j: int, strips: np.ndarray) -> np.ndarray:
         """Defect of the step's outflow of body i, (cells, facets), by the planes at the step's start.
 
-        Facets are numbered by their opposite corners; ``strips`` are the heights of the strips through them,
-        (cells, facets, corners of the facet), in heights of the cell.
+        Facets are numbered by their opposite corners; ``strips`` are the heights of the strips at the corners
+        of facets, (cells, facets, corners of the facet), relative to the height of the cell.
         """
         out = self._tau * self._flux
         swept = self._swept_of_planes if self._distances is None else self._swept_of_outlines

@@ -266,9 +266,9 @@ class Interpolation:
     unknown with two others therefore call ``Set`` in turns, with zeros on all other ranks, and the results
     are added in the order of the turns.
 
-    A cell that meets its own periodic image has the unknown of a vertex twice: ``Set`` then adds its value
-    once, and counts it twice.  The unknowns that ``Set`` gives for the function 1 are the shares of values
-    that ``Set`` keeps in this way.  Edges and faces of one cell are never images of each other.
+    A cell that meets its own periodic image has the unknown of a vertex twice: ``Set`` then adds the vertex's
+    value once, but divides by the number of times. Applied to the function 1, ``Set`` gives the share that it
+    keeps of each value.  Edges and faces of one cell are never images of each other.
     """
 
     def __init__(self, space: FESpace) -> None:

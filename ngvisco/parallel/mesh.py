@@ -191,10 +191,10 @@ def _check(mesh: Mesh | None, parts: int) -> None:
 
 
 def _images_of_facets(mesh: Mesh) -> int:
-    """The largest number of boundary facets of which each has an image of every corner of one facet.
+    """The largest number of images of a boundary facet: facets with an image of each of its corners.
 
-    Netgen ends a process if it finds two such facets (``Mesh::SendMesh``); a mesh of a single cell along two
-    periodic directions has them.
+    Netgen ends a process if a facet has two images (``Mesh::SendMesh``), as in a mesh of a single cell along
+    two periodic directions.
     """
     images: dict[int, list[int]] = {}
     for (first, second), _ in mesh.GetPeriodicNodePairs(VERTEX):

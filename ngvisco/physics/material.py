@@ -203,8 +203,8 @@ class Material(Checked, ABC):
     def continued(self) -> frozenset[str]:
         """Names of variables whose bounds (``Variable.positive``) do not bind: the energy is continued.
 
-        A Yosida approximation and J_min continue an energy.  An energy that merely has values at J <= 0, such
-        as (J - 1)^2, is not continued: J <= 0 means interpenetration.
+        The parameter J_min and a Yosida approximation make an energy continued. An energy that merely has
+        values at J <= 0, such as (J - 1)^2, is not continued: J <= 0 means interpenetration.
         """
         return frozenset()
 

@@ -98,7 +98,7 @@ class Checkpoints:
         texts = Declared("", (Mapping[str, str], NoneType))
         self.attributes = dict(texts.taken("Checkpoints.attributes", attributes) or {})
         self.chosen: ChosenMesh | None = None
-        """The mesh of the present state; None if it is the run's first one."""
+        """The mesh of the present state; None for the run's first mesh."""
         self._kept: dict[int, Snapshot] = {}
 
     def start(self, simulation: Simulation) -> None:

@@ -91,7 +91,7 @@ class FractionSamples:
             )
             of_cells = move.vec.FV().NumPy().reshape(dim, self._mesh.ne)
             is_part = self._are_inside[name][self._points[own]].any(axis=1)
-            for chosen in (~is_part, is_part):  # cells of which the body bears a part are separate
+            for chosen in (~is_part, is_part):  # a body's sub-cells overwrite the others of their cell
                 of_cells[:, of_cell[chosen]] = offsets[own][chosen].T
 
     def place(self) -> None:

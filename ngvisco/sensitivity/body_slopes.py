@@ -119,9 +119,12 @@ class BodySlopes:
 
     @cached_property
     def _weights(self) -> tuple[Callable[[np.ndarray], np.ndarray], list[GridFunction], Slope]:
-        """A solver for the coefficients of functions with given values at the points; functions for the
-        weights of fractions and velocities at the points; and the slope of the weighted sum of fractions and
-        velocities."""
+        """The parts with which ``_to_state`` makes a slope by the state from weights at the points.
+
+        The first part solves for the coefficients of a function with given values at the points.  The second
+        part has functions for the weights, one for each fraction and each component of the velocity.  The
+        third part is the slope of the weighted sum of fractions and velocities by the state.
+        """
         mesh, lattice = self.step.mesh, self.table.fractions.lattice
         space = L2(mesh, order=PIECES)
         functions = [GridFunction(space) for _ in range(len(self.table.names) + mesh.dim)]

@@ -232,7 +232,7 @@ class _StopWith:
         self.start(copied)
 
     def finish(self, copied: Simulation) -> None:
-        """Leave the copy as it is."""
+        """Do nothing at the end of a run."""
 
 
 class _Search:
@@ -290,7 +290,7 @@ class _Search:
             self.runs, self.spent = self.runs + 1, numbers["spent"]
 
     def _keep(self, q: np.ndarray, result: Gradient | None) -> None:
-        """Add the last run, from unknowns ``q`` of the search, to the finished ones."""
+        """Keep the result of the last run, None without a solution, by the unknowns ``q`` of the search."""
         self.kept[q.tobytes()] = result
         if self._restart is None:
             return
@@ -408,7 +408,7 @@ class _Search:
 
 
 def _name(run: int) -> str:
-    """Name of the part of the restart folder that has a run."""
+    """Name of the part of the restart folder that holds run number ``run``."""
     return f"run-{run:04d}"
 
 

@@ -138,7 +138,7 @@ def gradient(
     The derivatives are exact for the numbers that this run computes with its mesh and its steps; they are not
     discretised derivatives of the continuous equations.  The lengths of adaptive steps, the limiter's change
     of a state and the sides of upwinding are constants in the derivatives.  The constant change of the
-    limiter causes errors of 0.1 % in runs with three limited cells. For the sides of upwinding, it makes no
+    limiter causes errors of 0.1 % in runs with three limited cells. Constant sides of upwinding cause no
     error, except where matter rests at a facet with a jump: there the result is between the two one-sided
     derivatives. The tangent also differentiates the separation of bodies by ``Discretisation.sharp``; the
     adjoint is refused for a run with it.

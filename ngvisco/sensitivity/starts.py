@@ -123,7 +123,8 @@ class Starts:
 
     @cached_property
     def _functions(self) -> tuple[BilinearForm, np.ndarray]:
-        """Equations of dependent unknowns, functions of other unknowns, and a mask of their coefficients."""
+        """Equations that determine the dependent unknowns from the other ones, and a mask of the coefficients
+        of dependent unknowns."""
         step, layout = self.step, self.step.layout
         u, w = step.linearised_fields(layout.space.TrialFunction()), step.tests()
         form, dependent = BilinearForm(layout.space), np.zeros(layout.space.ndof, dtype=bool)
@@ -135,8 +136,8 @@ class Starts:
         return form, dependent
 
     def through_functions(self, slope: np.ndarray) -> np.ndarray:
-        """Slope by the independent unknowns at the present state; dependent unknowns are functions of
-        these."""
+        """The slope by the independent unknowns alone, at the present state, if dependent unknowns follow
+        them."""
         form, dependent = self._functions
         if not slope[dependent].any():
             return slope

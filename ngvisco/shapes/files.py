@@ -160,7 +160,7 @@ def _inward(corners: np.ndarray, part: np.ndarray, volumes: np.ndarray) -> np.nd
 
 
 def crossings(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Number of times a ray from each point leaves a closed surface minus entries: 1 inside, 0 outside.
+    """How often a ray from each point leaves a closed surface, less how often it enters: 1 inside, 0 outside.
 
     Parameters
     ----------

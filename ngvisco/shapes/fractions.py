@@ -147,8 +147,8 @@ def _layered(shares: np.ndarray) -> np.ndarray:
 def share_of_simplex(levels: np.ndarray) -> np.ndarray:
     """Share of a simplex in which the linear function with given ``levels`` at its vertices is positive.
 
-    Levels of equal size only tell the side of each vertex; the result is then the share of positive vertices.
-    ``levels`` are (..., 3) or (..., 4), shares (...).
+    If all levels have the same modulus, they tell the side of each vertex and no distance; the result is then
+    the share of positive vertices. ``levels`` are (..., 3) or (..., 4), shares (...).
     """
     values = np.sort(levels, axis=-1)
     count = np.sum(values > 0, axis=-1)

@@ -35,7 +35,7 @@ class SplitOptions:
     margin: Positive = 0.1
     """Largest estimated error after the last increment has been added, in tolerances.
 
-    The contraction gives the estimate; the last increment itself has to be below one tolerance.
+    The error is estimated by the contraction. The last increment, too, has to be below one tolerance.
     """
     slow: Count = 24
     """Number of iterations after which Newton-Krylov takes over."""

@@ -32,7 +32,7 @@ from ngvisco.sweep.variations import SweepError, Variation, combinations
 _LOOK = 0.5
 """Seconds between checks whether to stop the study."""
 _STOPPED = (128 + signal.SIGINT, 128 + signal.SIGTERM, -signal.SIGTERM)
-"""Exit codes of a run stopped by SIGINT or SIGTERM; the last one before its first step."""
+"""Exit codes of a run stopped by SIGINT or SIGTERM; the last code is that of a stop before the first step."""
 FINISHED, NOT_CLOSED, FAILED = "finished", "not closed", "failed"
 STOPPED, WAITING = "stopped", "not started"
 

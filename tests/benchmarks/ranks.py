@@ -157,7 +157,7 @@ def of_step(row: dict[str, Any], name: str) -> float:
 
 
 def by_ranks(rows: list[dict[str, Any]]) -> dict[tuple[int, str], list[dict[str, Any]]]:
-    """The rows of each run, for ranks with cells."""
+    """The table's rows of ranks with cells, by runs."""
     runs: dict[tuple[int, str], list[dict[str, Any]]] = {}
     for row in rows:
         if row.get("own cells"):

@@ -21,7 +21,7 @@ SCHEMES = ("backward-euler", "midpoint", "sdirk2")
 
 
 def network(rule, branches=2):
-    """A network of a branch with the rule, a spring, and an Oldroyd fluid with its own law."""
+    """A network of up to three branches: one with the rule, a spring, and an Oldroyd fluid."""
     others = {
         "spring": SPRING,
         "chains": Branch(material=nv.OldroydB(K_e=0.0, G_e=2.0), creep=nv.Creep(G_m=2.0, law="conformation")),

@@ -122,7 +122,7 @@ class Immersed:
     def _rates(self, u: np.ndarray, v: np.ndarray, X: np.ndarray) -> tuple[np.ndarray, ...]:
         h, lid = self.h, self.problem.lid
         slips = lid is None
-        # values beyond a wall give the wall its velocity, or no shear stress
+        # with the values beyond a wall the mean at the wall is its velocity, or the shear stress is zero
         U = np.pad(u, ((0, 0), (1, 1)), mode="edge") * (1.0 if slips else _mirror(u.shape, 1))
         V = np.pad(v, ((1, 1), (0, 0)), mode="edge") * (1.0 if slips else _mirror(v.shape, 0))
         U[:, -1] += 0.0 if lid is None else 2 * lid

@@ -401,7 +401,7 @@ def _corner_cells(step: Step) -> list[tuple[int, int]]:
     moving = [name for name in held if conditions[name].moves]
     if not moving:
         return []
-    # an edge or a vertex may lie on walls only by facets of other ranks, which these spaces include
+    # the walls' facets at an edge or a vertex may all belong to other ranks; these spaces know them too
     on_walls = ~mask_of(HCurl(mesh, order=0, dirichlet=step.walls.region(held)).FreeDofs())
     moved = ~mask_of(H1(mesh, order=1, dirichlet=step.walls.region(moving)).FreeDofs())
     pairs = set()

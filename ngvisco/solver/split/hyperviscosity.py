@@ -4,8 +4,8 @@ are the facets' normal derivatives of v.
 In a cell the law depends on x = (v, a) through B x: the coefficients of Hs, and the jumps at the sides'
 points. One small dense product gives B x for all components of v, (cells, dim, rows).  Arrays have the points
 last, so that sums run at the speed of memory. The rows of (v, a) are B^T times the law's derivative by B x.
-In the velocity tangent a is eliminated, except on facets between ranks. On these facets each rank has one
-side, and a stays an unknown, so that the matrix is a sum over the ranks' cells.
+The velocity tangent eliminates the unknowns a, except on facets between ranks. On these facets each rank has
+one side, and the unknowns a are kept, so that the matrix is a sum over the ranks' cells.
 
 The derivative is written by hand since complex increments of the rows take 3 to 5 times as long
 (``tests/benchmarks/kernels.py``); ``tests/solver/test_split_solver.py`` compares the derivative with the
@@ -232,10 +232,10 @@ class HyperTangent:
         return matrix
 
     def bordered(self, matrix: sp.csr_matrix, tangent: sp.csr_matrix, dim: int) -> sp.csr_matrix:
-        """Append rows and columns of the kept a to ``matrix``, whose unknowns are the flow's, beginning with
-        the components of v.
+        """Append rows and columns of the kept unknowns a to ``matrix``, whose unknowns are the flow's,
+        beginning with the components of v.
 
-        ``tangent`` is the matrix of one component of v and of the kept a.
+        ``tangent`` is the matrix of one component of v and of the kept unknowns a.
         """
         identity = sp.identity(dim)
         width = tangent.shape[0] - len(self.kept)

@@ -33,7 +33,7 @@ from ngvisco.solver.split.point_tangent import PointTangent
 from ngvisco.solver.split.transport import TransportSweeps
 
 TOLERANCE, ITERATIONS = 0.05, 20
-"""Tolerance of the increments of z and rho, and the largest number of GMRES iterations for them."""
+"""Tolerance of the increments of z and rho, and the largest number of their GMRES iterations."""
 ENOUGH, ENOUGH_WHERE_STEEP = 0.15, 0.05
 """Largest relative residual with which sweeps are accepted without GMRES; Newton's iteration contracts by
 about the same factor. The second value is for steep rules, which are local creep rules that are not
@@ -310,7 +310,7 @@ class Preconditioner:
         return rows
 
     def _block(self, y: np.ndarray) -> np.ndarray:
-        """Apply the tangent's inverse; only normal derivatives between ranks are unknowns of the tangent."""
+        """Apply the tangent's inverse; its only normal derivatives are those on facets between ranks."""
         tangent, dim, (rows, a) = self.hyper_tangent, self.dim, np.split(y, [len(self.free)])
         if tangent is None:
             return self.solver(rows)

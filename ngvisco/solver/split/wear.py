@@ -48,8 +48,8 @@ class Wear:
         self._present = contraction
 
     def is_dear(self, reduction: float) -> bool:
-        """Whether a renewal saves more than its cost, in earlier increments or in later ones. The last
-        increment is shorter than the present one by the factor ``reduction``."""
+        """Whether a renewal saves more than its cost, in earlier increments or in later ones. The iteration
+        ends when the increments are shorter than the present one by the factor ``reduction``."""
         return self._beyond + self._further(reduction) * (_RESIDUAL + self._first) > self.cost
 
     def _further(self, reduction: float) -> float:
