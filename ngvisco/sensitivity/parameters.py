@@ -30,7 +30,8 @@ _START = "initial"
 STEP, AT_FIXED_STATES = 1e-4, 1e-3
 """Spacing h of the differences by a parameter p, relative to p, for a tangent and for an adjoint.
 
-The adjoint's differences do not change states, and laws are smoother in their parameters than in the state."""
+The differences of an adjoint do not change states, and laws are smoother in their parameters than in the
+state."""
 OFFSETS = {4: (-2.0, -1.0, 1.0, 2.0), 2: (-0.1, 0.1)}
 """Offsets o of the evaluations at p + o h, by the order of the differences."""
 

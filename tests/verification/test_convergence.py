@@ -21,8 +21,8 @@ LONG, CI = pytest.mark.long, (pytest.mark.long, pytest.mark.ci)
 # --- the whole system -------------------------------------------------------------------------------------
 
 FULL, THIRD = (2.7, 1.85, 1.85), (2.5, 2.5, 2.5)
-"""Least rates of v, rho and z: near k + 1 and m + 1 for k = 2. For k = 3 and m = 2 in 3D the rates are m + 1/2:
-upwind transport has this rate on any mesh, and v has it because of the stress."""
+"""Least rates of v, rho and z: near k + 1 and m + 1 for k = 2. For k = 3 and m = 2 in 3D the rates are
+m + 1/2: upwind transport has this rate on any mesh, and v has it because of the stress."""
 TABLE: list[tuple[int, float | None, int, int, tuple[float, ...], dict[str, Any]]] = [
     # dim, p, k, m, rates, marks by kind; 3D takes seconds to ten minutes, higher order half a minute to two
     (2, None, 2, 1, FULL, {"neo-hookean": (), "linear": LONG}),
