@@ -149,6 +149,13 @@ class Simulation(RunState):
         self.observers = list(observers)
         self.interruption = Interruption(self)
         self.self_contact = SelfContact(step, self.ranks)
+        self._kept = {"mesh", "model", *self.arguments, "dt", "scheme", "adaptive"}
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if name in vars(self).get("_kept", ()):  # the run would not read the value
+            expected = "no change of a run; make another by Simulation.on, and carry the state by nv.transfer"
+            raise ParameterError(f"Simulation.{name}", value, expected)
+        super().__setattr__(name, value)
 
     def on(self, mesh: Mesh, **changes: Any) -> Simulation:
         """A new simulation at its start, on another mesh or with other arguments of the class.

@@ -150,6 +150,33 @@ def test_the_datum_is_a_wall_a_point_or_the_top():
         assert pressures(at_rest(density=RHO, **given), 0.0)[0] == pytest.approx(base, abs=2e-3 * RHO)
 
 
+AIR = nv.Thermal(c=862.0, gruneisen=0.4, theta_R=293.0, rho_R=1.2)
+OF_AIR = 0.4 * 862 * 293 / (1.2 * 9.81)
+"""Pressure of the air over its weight, m."""
+
+
+@pytest.mark.parametrize(
+    ("material", "height", "weight", "density"),
+    [
+        (nv.BarotropicFluid(B=2.5, gamma=1.4, rho_R=1.0), 3.0, 1.0, lambda h: (1 - h / 3.5) ** 2.5),
+        (AIR, 2e4, 9.81, lambda h: 1.2 * np.exp(-h / OF_AIR)),
+    ],
+)
+def test_a_column_of_gas_of_several_scale_heights_starts_at_rest(material, height, weight, density):
+    """At the density of the ground the column would weigh two to three times the pressure of the ground."""
+    run = at_rest(
+        material,
+        cells=(1, 12),
+        size=(height / 10, height),
+        loads=(nv.Gravity((0.0, -weight)),),
+        datum="bottom",
+        dt=0.01 * (height / weight) ** 0.5,
+    )
+    for h in (0.05 * height, 0.5 * height, 0.9 * height):
+        assert run.fields["density"](run.mesh(0.0, h)) == pytest.approx(density(h), abs=2e-3 * density(0))
+    assert speed(run) < 2e-3 * (height * weight) ** 0.5
+
+
 @pytest.mark.parametrize(
     ("given", "error", "said"),
     [
@@ -168,6 +195,16 @@ def test_the_datum_is_a_wall_a_point_or_the_top():
         ({"values": {"J": CF(1.0)}}, nv.ParameterError, "the strain follows from the equilibrium"),
         ({"loads": ()}, nv.ParameterError, "an equilibrium needs a load"),
         ({"density": 100.0}, nv.InitialDataError, "a bulk law that has a J at every pressure"),
+        (  # a polytropic atmosphere ends at 3.5 m
+            {
+                "material": nv.BarotropicFluid(B=2.5, gamma=1.4, rho_R=1.0),
+                "size": (1, 4),
+                "datum": "bottom",
+                "density": None,
+            },
+            nv.InitialDataError,
+            "a bulk law that has a J at every pressure",
+        ),
     ],
 )
 def test_a_start_without_an_equilibrium_is_refused(given, error, said):

@@ -322,3 +322,13 @@ def test_a_run_ends_before_a_part_of_a_step_that_is_not_solved(monkeypatch):
     assert (state(run) == before).all() and run.number == 0
     assert min(calls) == pytest.approx(DT / 8)
     assert [r.tau for r in watch.seen] == pytest.approx([DT, DT / 2, DT / 4])
+
+
+@pytest.mark.parametrize("name", ["dt", "scheme", "adaptive", "model", "walls", "solver"])
+def test_a_run_does_not_take_another_argument_in_silence(name):
+    run = simulation()
+    said = rf"Simulation\.{name} = 0\.1: .* Simulation\.on, .* nv\.transfer"
+    with pytest.raises(nv.ParameterError, match=said):
+        setattr(run, name, 0.1)
+    run.observers, run.note = [], "an attribute of the user"
+    assert run.dt == 0.02 and run.advance()["dt"] == 0.02

@@ -58,7 +58,10 @@ from ngvisco.physics.tensors import if_positive
 _ROUNDS, _STEPS = 100, 60
 """Largest numbers of iterations of the density, and of Newton steps for the volume."""
 _CONVERGED = 1e-12
-"""Relative change of the pressure, and of J, at which the iterations end."""
+"""Change of J over its largest value at which the iterations end."""
+_FACTOR = 4.0
+"""Largest factor of J in an iteration of the density.  Where matter is too dense at first, the pressure below
+the weight above has no J, until the matter has expanded."""
 _DIFFERENCE = 1e-5
 """Relative change of J in the difference quotient of the bulk law."""
 _UNBORNE = 0.05
@@ -123,12 +126,9 @@ class Column:
 
     def weight(self) -> CoefficientFunction:
         """Force density f of the loads, N/m^3, at t = 0."""
-        dim, rho = self.mesh.dim, self._rho()
-        force = CF((0.0,) * dim)
-        for load in self.step.model.loads:
-            added = force_of(load, dim)
-            force = force + (rho * added if load.is_weight else added)
-        return force
+        dim, rho, loads = self.mesh.dim, self._rho(), self.step.model.loads
+        forces = ((rho if load.is_weight else CF(1.0)) * force_of(load, dim) for load in loads)
+        return sum(forces, CF((0.0,) * dim))
 
     def _rho(self) -> CoefficientFunction:
         if self.shares:
@@ -155,19 +155,16 @@ class Column:
         datum that is neither a wall nor a point of the domain.
         """
         at, rest_pressure = self._at(datum), self._mean(lambda name: self.pressure_of(name, CF(1.0), True))
-        last, ranks = self.p.vec.FV().NumPy().copy(), self.sampler.ranks
         for _ in range(_ROUNDS):
             self._bear(self.weight())
             self.constant.Set(above_rest + at(rest_pressure) - at(self.p))
-            for name in self.laws:
-                self._invert(name)
-            values = self.p.vec.FV().NumPy().copy()
-            if ranks.most(abs(values - last)) <= _CONVERGED * ranks.most(abs(values)):
+            if not (changed := [name for name in self.laws if not self._inverts(name)]):
                 break
-            last = values
         else:
-            expected = "loads that the pressure in the body can balance"
-            raise InitialDataError("equilibrium", "no equilibrium was found", expected)
+            low, high = self.sampler.extrema(self.pressure)
+            owner = f" of body {changed[0]!r}" if changed[0] else ""
+            expected = f"a bulk law{owner} that has a J at every pressure from {low:.4g} to {high:.4g} Pa"
+            raise InitialDataError("equilibrium", "no J was found at some pressure", expected)
         release(self._inverse)
         self._say_what_is_left()
         return self.J
@@ -195,27 +192,26 @@ class Column:
             free.Clear(int(number))
         return free
 
-    def _invert(self, name: str) -> None:
-        """Solve for J, the projected inverse of the bulk law at p."""
-        J, before = self.J[name], np.zeros(0)
+    def _inverts(self, name: str) -> bool:
+        """Solve for J, the projected inverse of the bulk law at p, within ``_FACTOR`` of the J before; return
+        whether J has not changed."""
+        J, ranks, values = self.J[name], self.sampler.ranks, self.J[name].vec.FV().NumPy()
+        start, trial = GridFunction(J.space), GridFunction(J.space)
+        start.vec.data, first = J.vec, values.copy()
         law, ahead, behind = (self.pressure_of(name, s * J) for s in (1.0, 1 + _DIFFERENCE, 1 - _DIFFERENCE))
         share = (law - self.pressure) * (2 * _DIFFERENCE) / (behind - ahead)  # relative increment of J
         share = if_positive(share - 1, CF(1.0), if_positive(share + 0.5, share, CF(-0.5)))
-        better = (J * (1 + share)).Compile()
-        trial = GridFunction(J.space)
+        low, better, high = start / _FACTOR, J * (1 + share), _FACTOR * start
+        better = if_positive(low - better, low, if_positive(better - high, high, better)).Compile()
         for _ in range(_STEPS):
             trial.Set(better)
-            before, values = J.vec.FV().NumPy().copy(), trial.vec.FV().NumPy()
-            ranks = self.sampler.ranks
-            if not ranks.all(np.isfinite(values).all()):
+            new, before = trial.vec.FV().NumPy(), values.copy()
+            if not ranks.all(np.isfinite(new).all()):
                 break
-            J.vec.data = trial.vec
-            if ranks.most(abs(values - before)) <= _CONVERGED:
-                return
-        low, high = self.sampler.extrema(self.pressure)
-        owner = f" of body {name!r}" if name else ""
-        expected = f"a bulk law{owner} that has a J at every pressure from {low:.4g} to {high:.4g} Pa"
-        raise InitialDataError("equilibrium", "no J was found at some pressure", expected)
+            values[:] = new
+            if ranks.most(abs(new - before)) <= (least := _CONVERGED * ranks.most(abs(new))):
+                return ranks.most(abs(new - first)) <= least
+        return False
 
     def _at(self, datum: object) -> Callable[[CoefficientFunction], float]:
         """Return a function that evaluates coefficient functions at the datum."""
