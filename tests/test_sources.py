@@ -61,8 +61,8 @@ def type_names(path: Path) -> Iterator[str]:
             yield from (t.id for t in targets if isinstance(t, ast.Name) and re.match("_?[A-Z]+[a-z]", t.id))
 
 
-def test_only_the_base_of_terms_asks_for_a_term_s_class():
-    """No module but the base of terms asks for a term's class."""
+def test_only_the_base_of_terms_tests_the_class_of_a_term():
+    """No module but the base of terms tests the class of a term."""
     asking = {
         f"{path.relative_to(ROOT)}:{number}"
         for path in PACKAGE

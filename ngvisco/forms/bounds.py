@@ -205,7 +205,7 @@ class Bounds:
         """Message that the present state is not admissible, or None: rho, J, ... or the temperature is not
         positive, or a value is not a number.  A state out of bounds is kept as ``refused``.
 
-        A state that ``is_solved`` must have a stored energy. The extrapolated end of a step may have no
+        If ``is_solved``, the state must have a stored energy. The extrapolated end of a step may have no
         energy before it is limited, so that ``lack`` checks its energy after the limiter.
         """
         violation = self.violation()

@@ -1,8 +1,8 @@
 """The stored energy phi and its derivative as functions of a step's fields, evaluated here only.
 
-For an energy with an expression, both are expressions.  Otherwise (``Material.response``, e.g. a Yosida
-approximation) phi and phi' are computed and stored at the quadrature points.  With the state z_k of the
-stored values,
+For an energy with an expression, phi and phi' are expressions.  Otherwise (``Material.response``, e.g. a
+Yosida approximation) phi and phi' are computed and stored at the quadrature points.  With the state z_k of
+the stored values,
 
     phi(z_k),   slope(z) = phi'(z_k) + phi''(z_k) (z - z_k),
 

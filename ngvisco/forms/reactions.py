@@ -5,12 +5,12 @@ also contains the terms of walls, which are subtracted.  The force of wall Gamma
 
     F_Gamma . e = R(u; w_Gamma) - (terms of Gamma)(u; e) + int (phi - z_f : zeta_f) (w_Gamma . n),
 
-with w_Gamma = e at the coefficients that Gamma constrains; for the torque e is the rotation e x (x - c).
-z_f are the variables transported by their flux. The last integral appears because the scheme's elastic force
-is B_h(w; z, zeta) = int T : grad w - int (phi - z_f : zeta_f) (w . n), which is int T : grad w if w.n = 0 on
-walls.  This is the consistent reaction of the elastic, viscous and hyperviscous stress; it converges faster
-than an integral of T n.  If the trace on a wall has no energy (det B <= 0 beside a barrier), phi is the
-projection of the energy in the cell.
+with w_Gamma = e at the coefficients that Gamma constrains; for the torque e is the rotation e x (x - c). z_f
+are the variables transported by their flux. The last integral appears because the scheme's elastic force is
+B_h(w; z, zeta) = int T : grad w - int (phi - z_f : zeta_f) (w . n), which is int T : grad w if w.n = 0 on
+walls.  The force is the consistent reaction of the elastic, viscous and hyperviscous stress; this reaction
+converges faster than an integral of T n.  If the trace on a wall has no energy (det B <= 0 beside a barrier),
+phi is the projection of the energy in the cell.
 
 If several walls constrain a component of v at a corner, they share the row of this component in proportion
 to their n_i^2, so that each wall keeps its pressure; if all n_i are zero, their shares are equal.

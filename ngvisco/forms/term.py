@@ -4,8 +4,8 @@
 data there (``u.context``) and of the tests w, in which they are linear.  Integrands are written once, with
 operations that coefficient functions and arrays share (``ngvisco.physics.tensors``).  With trial and test
 functions of NGSolve for u and w they are the term's form.  With arrays of values for u, and tests that only
-record their factors (``ngvisco.physics.arrays.Linear``), they are the rows of a residual, its derivative by a
-complex increment of u, and columns of element matrices.
+record their factors (``ngvisco.physics.arrays.Linear``), the same integrands give the rows of a residual, its
+derivative by a complex increment of u, and columns of element matrices.
 
 ``u.context.given(value)`` reads a function of place and time at the end of the step, and
 ``u.context.average(value)`` its mean over the step, in cells.

@@ -8,12 +8,12 @@ and likewise for its cofactor, Q E Q^T for spatial tensors.  phi is then isotrop
 therefore S E = E S, the Cauchy stress is symmetric, and phi depends on F only through B = F F^T.
 
 **Convexity.**  The scheme never creates energy because every step's Bregman distance phi(b) - phi(a) -
-phi'(a) : (b - a) is >= 0.  This holds where phi is convex in all strains together at fixed parameters; the
-strains count as independent, as the discrete J is not exactly det F.  ``check_convexity`` evaluates the
-distance for random states a.  For each a, some states b lie near a and farther along the eigenvector of the
-Hessian's smallest eigenvalue, and one is another random state.  States whose variables fit together as in a
-motion (J = det F, ...) are cited first: a violation at other states matters only as far as variables drift
-apart.
+phi'(a) : (b - a) is >= 0.  The distance is >= 0 where phi is convex in all strains together at fixed
+parameters; the strains count as independent, as the discrete J is not exactly det F.  ``check_convexity``
+evaluates the distance for random states a.  For each a, some states b lie near a and farther along the
+eigenvector of the Hessian's smallest eigenvalue, and one is another random state.  States whose variables fit
+together as in a motion (J = det F, ...) are cited first: a violation at other states matters only as far as
+variables drift apart.
 """
 
 import warnings
@@ -172,8 +172,8 @@ class StateSampling:
         return states_of(self.material, F, self.dim)
 
     def changed(self, fitting: np.ndarray) -> np.ndarray:
-        """The states with an independent random change of each strain, because discrete strains hardly fit
-        together."""
+        """The states with an independent random change of each strain, because the discrete strains of a
+        state need not belong to one F."""
         states = fitting.copy()
         for variable in self.material.variables:
             part = states[:, self.space.slices[variable.name]]

@@ -226,9 +226,9 @@ class Mixture(Material):
         return {name: psi.stiffness + of_heat.get(name, 0.0) for name, psi in self.energies.items()}
 
     def positive(self, z: Values) -> dict[str, Values]:
-        """Functions of a state that must be > 0: N; with different U_i sum n_i/U_i'', for a common pressure;
-        with heat sum n_i c_i; n_i plus half of its trace if an f_i is nonlinear or a body hardens or
-        breaks."""
+        """Functions of a state that must be > 0: N; if the U_i differ, sum n_i/U_i'', for a common pressure;
+        with heat, sum n_i c_i. If an f_i is nonlinear or a body hardens or breaks, the amount n_i plus half
+        of its trace must be > 0, too."""
         n, total = self.amounts(z), self.fractions.total(z)
 
         def above(share: float, sizes: Sequence[float]) -> Any:

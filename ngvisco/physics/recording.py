@@ -288,7 +288,7 @@ class Recorded(np.lib.mixins.NDArrayOperatorsMixin):
 
     @property
     def real(self) -> Recorded:
-        """The array itself: it is real."""
+        """The array itself, which is real."""
         if self.dtype.kind == "c":
             self._refuse()
         return self

@@ -160,11 +160,11 @@ class Bodies(Series):
 
     Centroids, outlines, ellipses and gaps are those of whole bodies across periodic boundaries.  A centroid
     is within the domain.  Along a period in which a body meets its own image, the centroid is that of the
-    body's part in the domain.  An extent is that of the parts in the domain.
-    A ``SmearedWarning`` is issued, once, for a body with a place whose interface is more than three cells
-    wide.  A run's HDF5 file (``Checkpoints``) holds the columns in the group ``bodies``.
-    A run raises ParameterError for a model without bodies, for a measure that needs an outline in three
-    dimensions, and for ``gap`` of fewer than two bodies that have a place.
+    body's part in the domain.  Extents are those of the body's parts in the domain. A ``SmearedWarning`` is
+    issued, once, for a body with a place whose interface is more than three cells wide.  A run's HDF5 file
+    (``Checkpoints``) holds the columns in the group ``bodies``. A run raises ParameterError for a model
+    without bodies, for a measure that needs an outline in three dimensions, and for ``gap`` of fewer than two
+    bodies that have a place.
 
     Parameters
     ----------

@@ -45,7 +45,7 @@ def _eigenvalues(rows: np.ndarray) -> np.ndarray:
 
 
 def _of_both_signs(rows: np.ndarray) -> np.ndarray:
-    """Values and negative values, of which the largest is the largest absolute value."""
+    """The values and their negatives, so that the largest entry is the largest absolute value."""
     return np.concatenate([rows, -rows], axis=1)
 
 

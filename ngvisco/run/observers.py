@@ -320,7 +320,7 @@ def dissipation_advice(simulation: Simulation) -> str | None:
     def total(kind: str) -> float:
         return float(ledger.exchanged(*(entry.name for entry in ledger.entries if entry.kind == kind))[-1])
 
-    # this dissipation is without the energy lost in a transfer to another mesh
+    # this dissipation does not include the energy lost in a transfer to another mesh
     numerical = float(ledger.exchanged(*NUMERICAL)[-1])
     physical, stored = total("dissipation"), ledger.column("stored")
     moved = max(ledger.column("kinetic").max(), abs(stored - stored[0]).max()) + abs(total("power"))

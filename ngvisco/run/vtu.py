@@ -124,7 +124,7 @@ class StateFiles:
 
 
 def shown_by(path: Path, ranks: Communicator) -> Path:
-    """The file to open for fields that are written into ``path``: over ranks the .pvtu of their pieces."""
+    """The file to open for fields that are written into ``path``: on several ranks the .pvtu file."""
     return path.with_suffix(".pvtu") if ranks.is_distributed else path
 
 

@@ -66,7 +66,8 @@ class Gradient:
         """Derivative of a number by the start values of a scalar field, per volume at the start.
 
         A small change d of the field's start values changes the number by the integral of this function times
-        d, with the start values of other fields fixed.  This needs a gradient with the method "adjoint".
+        d, with the start values of other fields fixed.  The density needs a gradient with the method
+        "adjoint".
 
         Parameters
         ----------

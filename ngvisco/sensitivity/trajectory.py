@@ -139,8 +139,8 @@ class Trajectory:
         self._begin()
 
     def _lacks_derivatives(self) -> bool:
-        """Whether a law or the diffusion of fields reads more than the slope of an energy that has values at
-        points only."""
+        """Whether the energy has values at points only, and a law or the diffusion of fields reads more of
+        the energy than its slope."""
         model, step = self.simulation.model, self.simulation.rothe_step
         law = model.regularisation
         if step.energy.projected is None:

@@ -43,9 +43,9 @@ SHARE = 1e-4
 class BlockNorm:
     """The norm |d| of an increment, see the module's docstring.
 
-    ``ranges`` has the blocks of the coefficient vector, and ``units`` s_u of the blocks that count, h/tau for
-    "v".  A ``shared`` block counts by ``SHARE`` times its relative increment.  ``exchange`` belongs to the
-    vectors' space, if ranks may share the space.
+    ``ranges`` has the blocks of the coefficient vector; ``units`` has the unit s_u of each block that counts,
+    which is h/tau for "v".  A ``shared`` block counts by ``SHARE`` times its relative increment.
+    ``exchange`` belongs to the vectors' space, if ranks may share the space.
     """
 
     def __init__(

@@ -55,7 +55,7 @@ class RotheSolver:
     """Solves a Step, the implicit Euler formula (paper: Euler-large-viscoelastodyn+disc).
 
     ``defect`` returns the defect of a solution (rho <= 0, J <= 0, not finite) in words, or None.  The
-    equations of a long step also have solutions of negative density; they are not accepted.
+    equations of a long step also have solutions of negative density, which are not accepted.
     """
 
     def __init__(

@@ -17,8 +17,8 @@ FARTHEST = 3.0
 """Largest ratio of two times: from the last solution to the step's end, and between the two solutions."""
 
 LARGEST_CHANGE = 0.5
-"""Largest relative change of density and elastic variables by extrapolation; it keeps them in the domain of
-the energy."""
+"""Largest relative change of density and elastic variables by extrapolation; the bound keeps the variables in
+the domain of the energy."""
 
 
 class KeptState:

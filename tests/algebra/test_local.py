@@ -52,7 +52,8 @@ def test_products_equal_those_of_the_sparse_matrix(bent, nodes):
 
 @pytest.mark.parametrize("bent", [None, 4])
 def test_two_rules_share_their_nodes_where_functions_are_quadratic(bent):
-    """The second rule has seven other points; in a cell that is not quadratic it keeps its own values."""
+    """The second rule has seven other points; in a cell that is not quadratic, the rule keeps its own
+    values."""
     first = LocalMatrix(matrix(np.random.default_rng(3)), CELLS, pieces=PIECES)
     B = matrix(np.random.default_rng(3), bent, np.linspace(0.1, 0.8, POINTS) ** 2)
     local = LocalMatrix(B, CELLS, pieces=PIECES, other=first)

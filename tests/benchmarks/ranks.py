@@ -169,7 +169,7 @@ def difference(a: list[dict[str, float]], b: list[dict[str, float]]) -> float:
     """The largest difference of two ledgers' columns, without iterations, relative to a column's size or
     1e-3.
 
-    It is infinite if only one of two entries is a number.
+    The result is infinite if only one of two entries is a number.
     """
     energy, found = a[0]["kinetic"] + a[0]["stored"], 0.0
     for name in (name for name in a[0] if "iterations" not in name):

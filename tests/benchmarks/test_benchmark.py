@@ -109,7 +109,7 @@ def test_a_measured_run_has_its_kinetic_energy_and_its_seconds():
 
 
 def test_a_lagrangian_wave_agrees_with_the_wave_on_a_fixed_mesh():
-    """Both are within 10 % of the finer run on a fixed mesh, whose energy at 0.2 s is 0.0052 J/m."""
+    """Both waves are within 10 % of the finer run on a fixed mesh, whose energy at 0.2 s is 0.0052 J/m."""
     problem = dataclasses.replace(answers.PROBLEMS["shear wave"], cells=(4,), steps=(20,))
     exact, _ = answers.measured("shear wave", (2, 1), 4, 20, "midpoint")
     ((choice, kinetic, compared, seconds),) = problem.peers(problem, exact)

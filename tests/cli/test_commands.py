@@ -94,7 +94,7 @@ def test_a_new_case_is_explained_and_valid(capsys, tmp_path):
         assert "swirl" in (said := capsys.readouterr().err) or "time.dt" in said or "not allowed" in said
 
 
-def test_check_reports_and_writes_nothing(case_file, capsys, monkeypatch):
+def test_check_prints_a_report_and_writes_no_file(case_file, capsys, monkeypatch):
     monkeypatch.chdir(case_file.parent)
     assert ended("check", case_file) == 0
     printed = capsys.readouterr().out
@@ -354,7 +354,7 @@ def test_a_ledger_that_does_not_close_is_reported(case_file, tmp_path, capsys, m
     monkeypatch.setattr(Loading, "entries", lambda self, u: [])
     assert ended("run", case_file, "-o", tmp_path / "out", "--quiet") == 4
     said = capsys.readouterr()
-    # once when the fault is found, and once at the end
+    # the command warns when it finds the fault, and again at the end
     assert said.err.count("THE LEDGER DOES NOT CLOSE") == 2
     assert "ngvisco: warning: THE LEDGER DOES NOT CLOSE in 1 step" in said.err
     log = (tmp_path / "out" / "log.txt").read_text(encoding="utf-8")

@@ -570,7 +570,7 @@ def passed_through(sharp):
 @pytest.mark.ci
 def test_an_interface_that_moves_stays_as_wide_as_it_is():
     """The disc passes through ten cells once. Without ``sharp``, the interface becomes 1.7 cells wide. With
-    ``sharp``, it keeps its width and the deformation D of the disc grows to 0.01."""
+    ``sharp``, the interface keeps its width, and the deformation D of the disc grows to 0.01."""
     plain, sharp = passed_through(False), passed_through(True)
     assert plain("disc_smeared")[-1] > 1.5 and 0.5 < sharp("disc_smeared")[-1] < 1.0
     assert sharp("disc_inside")[-1] == pytest.approx(np.pi / 16, rel=0.03)

@@ -42,8 +42,8 @@ def differences(warned):
 
 @pytest.mark.parametrize("state", "FB")
 def test_an_unbalanced_stress_at_rest_is_warned_of_before_the_first_step(state):
-    """With the difference of stresses in the warning, a bar moves off at metres a second. With the pressure
-    that the warning recommends, the bar stays."""
+    """With the difference of stresses that the warning reports, a bar starts to move at metres a second. With
+    the pressure that the warning recommends, the bar stays."""
     for pull in (0.0, 1.0):
         with pytest.warns(nv.InputWarning, match="pressure of -T") as warned:
             run = between(PAPER[state], pressure=-pull)

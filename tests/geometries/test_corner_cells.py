@@ -38,7 +38,7 @@ def walls_of(mesh):
 
 
 @pytest.mark.parametrize("name", MESHES)
-def test_division_leaves_no_cell_in_a_corner_and_the_domain_as_it_is(name):
+def test_division_leaves_no_cell_in_a_corner_and_keeps_the_domain(name):
     mesh = MESHES[name]()
     cells, count, order = corner_cells(mesh), mesh.ne, mesh.GetCurveOrder()
     parts = {part: Integrate(CF(1.0), mesh.Materials(part)) for part in mesh.GetMaterials()}

@@ -130,7 +130,7 @@ def test_cauchy_stress_is_symmetric_and_the_derivative_of_energy(name):
 
 
 @pytest.mark.parametrize("name", FINITE)
-def test_mandel_stress_is_trace_free_and_the_power_of_creep(name):
+def test_mandel_stress_is_trace_free_and_gives_the_power_of_creep(name):
     """M : P = -d/dh phi(F - h F P) at h = 0, or phi(F - h P F) for a rate P of the actual frame; J does not
     change."""
     material = FINITE[name]

@@ -144,7 +144,7 @@ class PrintedMooneyRivlin(Cofactor):
         return tensor(derivative - 7 / 6 * np.trace(value(L)) * H)
 
 
-def test_mooney_rivlin_rate_of_the_paper_is_a_slip() -> None:
+def test_the_mooney_rivlin_rate_printed_in_the_paper_is_wrong() -> None:
     """The printed rate misses the derivative of J^{-7/6} Cof F by order one; the package's rate is this
     derivative."""
     L, Pi, F_0 = motion(6, True)

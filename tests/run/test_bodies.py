@@ -335,13 +335,13 @@ def test_bulk_moduli_that_differ_much_are_warned_of_by_name(K_e, m, warns):
 def test_layers_that_meet_inside_a_cell_act_in_series(solver, viscosities, k):
     """A Couette flow has two layers, whose face is in the middle of a cell.
 
-    With the arithmetic mean in this cell, the force is 7 per cent too large. With constants in cells, it is 8
-    and 10 per cent too large. In the cell of the face, the computed shear rate changes linearly from one
-    layer's to the other's, whereas the exact shear rate jumps by D. The velocity at the face is therefore D
-    h/8 off, 2.3 and 2.8 per cent. So the force, the velocity beside this cell and the mean velocity are right
-    within 2 per cent, but the velocity in the cell is not. The best parabola between the cell's ends is 0.037
-    D h off, and its rates at the ends are outside of the range of both layers. At the face, a velocity of
-    order 1 is D h/4 off, whatever its rate is.
+    With the arithmetic mean in this cell, the force is 7 per cent too large. With constants in cells, the
+    force is 8 and 10 per cent too large. In the cell of the face, the computed shear rate changes linearly
+    from one layer's to the other's, whereas the exact shear rate jumps by D. The velocity at the face is
+    therefore D h/8 off, 2.3 and 2.8 per cent. So the force, the velocity beside this cell and the mean
+    velocity are right within 2 per cent, but the velocity in the cell is not. The best parabola between the
+    cell's ends is 0.037 D h off, and its rates at the ends are outside of the range of both layers. At the
+    face, a velocity of order 1 is D h/4 off, whatever its rate is.
     """
     face, (low, high) = 0.5625, viscosities
     stress = 1 / (face / low + (1 - face) / high)

@@ -234,8 +234,8 @@ def test_steps_that_do_not_close_are_counted_in_one_warning(monkeypatch: pytest.
 def test_each_part_of_a_resumed_run_closes_by_its_own_tolerance(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """After a resume, the warning still names a step that did not close. It does not name a step that closes
-    by the larger tolerance of its own part."""
+    """After a resume, the warning still names a step that did not close. The warning does not name a step
+    that closes by the larger tolerance of its own part."""
     monkeypatch.setattr(Inertia, "distance", scaled(Inertia.distance, "inertial", 1.01))
     path = tmp_path / "run.h5"
 

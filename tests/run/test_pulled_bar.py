@@ -51,7 +51,7 @@ def assert_energy_is_of_the_walls_at_most(ledger):
 
 def pulled(mesh, kind, scheme, solver):
     """The momentum along the bar after six steps, with and without the momentum carried through the ends.
-    Both are relative to the impulse of sound, traction x area x length/c."""
+    Both momenta are relative to the impulse of sound, traction x area x length/c."""
     run = nv.Simulation(
         mesh,
         nv.Model(material=MATERIALS[kind], viscosity=nv.StokesViscosity(K_v=0.3, G_v=0.3)),
@@ -77,8 +77,8 @@ def pulled(mesh, kind, scheme, solver):
     [_marked(run) for run in product(MATERIALS, SCHEMES, ("split", "coupled"), (2, 3))],
 )
 def test_a_bar_that_is_pulled_at_both_ends_has_no_momentum(kind, scheme, solver, dim):
-    """On a mesh that is its own mirror image, the momentum is zero. On other meshes, it is the momentum that
-    matter carries through the ends."""
+    """On a mesh that is its own mirror image, the momentum is zero. On other meshes, the bar has the momentum
+    that matter carries through the ends."""
     of_mirrored = structured_box((1, 0.55), (2, 1)) if dim == 2 else None
     if of_mirrored is not None:
         assert pulled(of_mirrored, kind, scheme, solver)[0] <= 1e-8

@@ -55,7 +55,7 @@ def test_output_times_are_met_exactly_and_the_ledger_closes(tmp_path):
     assert ledger.column("dt").max() <= 0.04
 
 
-def test_a_failed_step_is_halved_recorded_and_grown_again(monkeypatch):
+def test_a_failed_step_is_halved_and_recorded_and_later_steps_grow(monkeypatch):
     stepping = nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.04, patience=2)
     run = simulation(stepping, dt=0.04, observers=[watch := Rejections()])
     refuse(run, monkeypatch, lambda t, tau: t < 0.02 and tau > 0.011)

@@ -1,5 +1,5 @@
 """Work of derivatives, counted in matrices, solves and residuals. These numbers do not depend on other
-processes. They do not measure time: a matrix takes much longer than a solve
+processes. The numbers do not measure time: a matrix takes much longer than a solve
 (``ngvisco/sensitivity/NOTES.md``)."""
 
 from collections import Counter

@@ -120,8 +120,8 @@ def test_a_part_without_cells_is_linearised(run):
 
 @pytest.mark.parametrize("strain", [0.02, 0.2])
 def test_the_resolvent_by_its_series_is_the_inverse(run, strain, monkeypatch):
-    """Small strains in a step need few terms of the series, larger strains more. Both leave an error of at
-    most 1e-4."""
+    """Small strains in a step need few terms of the series, larger strains need more terms. The error is at
+    most 1e-4 for both."""
     _, at, operator = prepared(run, strain * linear(run, lambda x, y: (x + 2 * y, -y)), 0.01)
     points = operator.points
     dz = np.random.default_rng(5).standard_normal((points.op.z.width, points.components))

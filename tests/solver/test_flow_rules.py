@@ -75,7 +75,7 @@ def test_a_user_s_flow_rule_follows_its_differential_equation(nu, bodies, solver
     names = ("B_left", "B_right") if bodies else ("H",)
     found = sum(np.diag(np.array(run.fields[name](run.mesh(0.3, 0.4))).reshape(3, 3)) for name in names)
     expected = implicit_steps(lambda M: 0.02 * (M @ M) * M, np.diff(ledger.column("time")), bodies)
-    # a trace of matter enlarges a body's share of a point by TRACE^2
+    # the trace that every cell has of every body enlarges a body's share of a point by TRACE^2
     assert np.abs(found - expected).max() <= (1e-5 if bodies else 1e-8)
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
     assert ledger.column("dissipation_creep")[1:].min() > 0

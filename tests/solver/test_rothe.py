@@ -164,7 +164,7 @@ def test_large_increments_may_grow_for_a_while(smallest, gives_up):
     assert split.resets == gives_up
 
 
-def test_a_nearly_incompressible_body_takes_a_step_of_many_wave_passages():
+def test_a_nearly_incompressible_body_takes_a_step_in_which_waves_pass_many_times():
     """In an earlier version, rounding of the energy on sides of cells was a force without resistance, so that
     the step was divided."""
     eddy = (1 + 0.5 * sin(2 * pi * x) * cos(2 * pi * y), 0.5 - 0.5 * cos(2 * pi * x) * sin(2 * pi * y))

@@ -68,7 +68,7 @@ def test_hyperviscosity_s_derivative_is_that_of_its_rows(k, p):
     now = split.residual(split.unknowns.pack()).coefficients
     rng = np.random.default_rng(1)
     dv, da = rng.standard_normal(now["v"].shape), rng.standard_normal(now["a"].shape)
-    # near a v with curvature, whose jumps are not much larger than the curvature
+    # v has curvature, so that its jumps are not much larger than the curvature
     v, a, z = now["v"] + 1e-3 * dv, now["a"], now["z"]
     derivative.update(hyper(v, a, z))
     expected = derivative(np.concatenate([dv, da], axis=1))

@@ -79,7 +79,7 @@ def wave(X: Sequence[Any], amplitude: Any, m: Any) -> Any:
 def tensor(identity: float, symmetric: bool) -> Field:
     """identity * I plus a field whose ij entry vanishes on the walls normal to e_i and to e_j.
 
-    If it is symmetric and identity = 1, it is positive definite: a left Cauchy-Green tensor.
+    A symmetric tensor with identity = 1 is positive definite: a left Cauchy-Green tensor.
     """
 
     def field(X: Sequence[Any], t: Any, m: Any) -> list[list[Any]]:

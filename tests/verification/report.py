@@ -1,8 +1,8 @@
 """The report of all results, in Markdown with pictures beside it, and the kept report.
 
 In the kept report, new results replace the rows of their cases, and each row has its commit, because a whole
-report takes longer than a change can wait.  It leaves out cases that no longer exist, and lists cases that
-are missing.
+report takes longer than a change can wait.  The kept report leaves out cases that no longer exist, and lists
+cases that are missing.
 """
 
 import io

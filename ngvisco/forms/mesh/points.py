@@ -93,7 +93,7 @@ class CellPoints:
     def function(self, components: int) -> GridFunction:
         """A grid function of vectors at the points, to be used in coefficient functions.
 
-        It has at least two components: NGSolve cannot differentiate a vector of one component here.
+        The function has at least two components: NGSolve cannot differentiate a vector of one component here.
         """
         return GridFunction(VectorValued(self.space, max(2, components)))
 

@@ -84,5 +84,5 @@ NO_SYMMETRY = Symmetry()
 
 
 def weighted(integrand: CoefficientFunction, weight: CoefficientFunction | None) -> CoefficientFunction:
-    """Return an integrand multiplied by a weight; None is the weight 1."""
+    """Return an integrand multiplied by a weight; the weight None means 1."""
     return integrand if weight is None else weight * integrand

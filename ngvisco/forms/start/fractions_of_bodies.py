@@ -78,8 +78,8 @@ def values_of_bodies(
 ) -> StartValues:
     """Amounts and tensors of bodies that follow from ``distortions``, without those that are ``given``.
 
-    Raises InitialDataError for a given tensor in cells without its body, and with sharp interfaces for one
-    whose determinant does not follow from the distortion.
+    Raises InitialDataError for a given tensor in cells without its body. With sharp interfaces, a given
+    tensor whose determinant does not follow from the distortion is refused, too.
     """
     filled = material.filled(shares, distortions)
     of_cells, bodies = step.quadrature.each_cell, {X.name: n for n in shares for X in material.contents(n)}

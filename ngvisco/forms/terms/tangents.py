@@ -51,7 +51,7 @@ class TangentGap(OfFacet):
 class WithoutEnergy(OfFacet):
     """Equation of the share of a facet on which a side's trace has no energy.
 
-    If the share is positive in any iterate, it stays for the rest of the step.
+    If the share is positive in any iterate, the equation stays for the rest of the step.
     """
 
     name = "without_energy"

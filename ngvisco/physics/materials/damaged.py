@@ -106,15 +106,15 @@ class Damaged(Wrapper):
     """A material that breaks, by a phase field of its damage d in [0, 1] (module's docstring).
 
     The energy of the intact material is counted from rest, where its stress has to vanish.  A fully formed
-    crack has the energy G_c times its area, and d = exp(-|x|/l) (AT2) or (1 - |x|/2l)^2 (AT1) across it.
-    With ``area="actual"`` x and l are lengths in the actual place, and at J = 1 G_c is per deformed area of
-    the crack.  In matter that is stretched by lambda across the crack, this is G_c/lambda per reference area,
-    and a crack from before the stretch keeps (1 + 1/lambda^2)/2 of its energy.  With ``area="reference"`` x
-    and l are lengths of the body at its start, G_c is per reference area, and the crack keeps its energy; the
-    body then also carries its distortion since the start.  Without healing d never falls at a point of the
-    matter.  Raises ParameterError if a parameter is out of its range, if the material has stress at rest, an
-    energy without an expression, or no volume that defines compression, or for ``"reference"`` with a
-    material of small strain, which has one area.
+    crack has the energy G_c times its area, and d = exp(-|x|/l) (AT2) or (1 - |x|/2l)^2 (AT1) across it. With
+    ``area="actual"`` x and l are lengths in the actual place, and at J = 1 G_c is per deformed area of the
+    crack.  In matter that is stretched by lambda across the crack, the crack's energy is G_c/lambda per
+    reference area, and a crack from before the stretch keeps (1 + 1/lambda^2)/2 of its energy.  With
+    ``area="reference"`` x and l are lengths of the body at its start, G_c is per reference area, and the
+    crack keeps its energy; the body then also carries its distortion since the start.  Without healing d
+    never falls at a point of the matter.  Raises ParameterError if a parameter is out of its range, if the
+    material has stress at rest, an energy without an expression, or no volume that defines compression, or
+    for ``"reference"`` with a material of small strain, which has one area.
 
     Example::
 

@@ -35,7 +35,7 @@ class BarotropicFluid(ContinuedInJ):
     """phi = B J^{-gamma} (paper: rem-barotropic-fluids, where B = 1).
 
     The Cauchy stress is -p I with p = -(J phi(J))' = (gamma - 1) B J^{-gamma}.  As rho = rho_R/J with the
-    referential density rho_R, this is the isentropic state equation
+    referential density rho_R, the fluid has the isentropic state equation
 
         p = a rho^gamma,   a = (gamma - 1) B / rho_R^gamma,
 

@@ -211,7 +211,7 @@ class PointTangent(_AtPoints):
         """K, (points, n, n), the force's derivatives, (points, X, n), and the derivatives ``beside`` of
         ``PointValues``.
 
-        All are derivatives by z with d zeta = phi''(z) dz.
+        All three are derivatives by z with d zeta = phi''(z) dz.
 
         Rates are products with constant tensors; creep depends on z through its driving stress, whose
         derivatives ``force`` has.  Other dependences of creep on z and zeta, and terms that depend on z or

@@ -263,8 +263,8 @@ class TransportSweeps:
         return np.matmul(inverses, by_functions).reshape(rows.shape)
 
     def density(self, r: np.ndarray) -> np.ndarray:
-        """Increments of the density's unknowns from rows, (unknowns,), or (cells' unknowns, .) if sweeps
-        solve."""
+        """Increments of the density's unknowns from rows. The shape is (unknowns,), or for sweeps (cells'
+        unknowns, .)."""
         if self._density is not None:
             return self._density(r)
         assert self.of_rho is not None

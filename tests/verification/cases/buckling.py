@@ -6,13 +6,13 @@ A column of thickness h and density rho under the thrust P deflects as exp(s t) 
 
 where c = 1.  Shear and inertia of turning change s^2 by a few per cent.  Euler's load is the P of s = 0.
 
-The factor c, the share of the geometric stiffness, has two parts.  The thrust turns with the column: this is
-the force P w'' across.  The thrust's stress also ends at each surface, and makes a couple there, whose force
-is -P w''.  In the true motion the strips of matter by which the surfaces move bear the thrust as well.  Their
-couple cancels the couple of the surfaces.  Between ``Open`` walls no surface moves, no strip exists, and
-c = 0.  If both surfaces are edges of cells, only the strips that leave cells of the column count, half of
-all: matter that enters a cell of the medium is less than a fifth of the cell's matter, and bears no stress
-(chi of FORMULATION.md, Section 9).  Then c = 1/2, until the deflection is a fifth of a cell.
+The factor c, the share of the geometric stiffness, has two parts.  The thrust turns with the column, which
+gives the force P w'' across the column.  The thrust's stress also ends at each surface, and makes a couple
+there, whose force is -P w''.  In the true motion the strips of matter by which the surfaces move bear the
+thrust as well.  Their couple cancels the couple of the surfaces.  Between ``Open`` walls no surface moves, no
+strip exists, and c = 0.  If both surfaces are edges of cells, only the strips that leave cells of the column
+count, half of all: matter that enters a cell of the medium is less than a fifth of the cell's matter, and
+bears no stress (chi of FORMULATION.md, Section 9).  Then c = 1/2, until the deflection is a fifth of a cell.
 """
 
 import math

@@ -303,8 +303,8 @@ The energy of bodies is jointly convex in all their variables. Therefore ``bregm
 Euler dissipates in a step, is >= 0 at every point, and so is the energy that the limiter removes. Negative
 parts are summed separately: a signed sum would hide them.
 
-The control is an energy by fractions, sum theta_i f_i(X/N) N with one tensor X = sum X_i for all bodies: it
-is convex in X for each body, but not jointly convex.
+The control is an energy by fractions, sum theta_i f_i(X/N) N with one tensor X = sum X_i for all bodies. This
+energy is convex in X for each body, but not jointly convex.
 """
 
 MEETING, MET, WRONG, THROWN, LIGHTEST, SHORT = 0.04, 1.4, 0.2, 0.005, 1e-3, (6.25e-4, 3.125e-4)

@@ -3,8 +3,8 @@
 Units are mm, us and GPa, so that 1 g/cm^3 is the unit of density. The bar is surrounded by a light fluid with
 the bar's volumetric energy, because then the common pressure of bodies has a closed form. A light fluid gives
 way like air, although it is as stiff in compression as the bar. The cells must not lock. Triangles with
-linear velocities and one dilatation per cell lock if each rectangle is divided in two. They do not lock if
-each rectangle is divided in four triangles that meet in its middle.
+linear velocities and one dilatation per cell lock if each rectangle is divided in two. Such triangles do not
+lock if each rectangle is divided in four triangles that meet in its middle.
 """
 
 import math

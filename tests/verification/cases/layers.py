@@ -18,8 +18,8 @@ CASES = Cases("Bodies and their interfaces")
 
 # --- topography between rock and light air instead of a free surface -----------------------------------
 """The first case of Crameri et al. (Geophys. J. Int. 189, 38, 2012): 7 km of topography, a wave of 2800 km,
-on 100 km of lithosphere and 600 km of mantle relaxes as exp(-0.2139e-11 t/s), to 1/e in 14.8 kyr. This is the
-analytic rate of these layers below a free surface. The air of the benchmark has no density; here it has a
+on 100 km of lithosphere and 600 km of mantle relaxes as exp(-0.2139e-11 t/s), to 1/e in 14.8 kyr. The rate is
+the analytic one of these layers below a free surface. The air of the benchmark has no density; here it has a
 thousandth of the rock's density.
 
 A cell that the surface cuts has the mean viscosity, weighted by fractions, so that a trace of rock makes the

@@ -136,8 +136,8 @@ def _halved(
 
 
 class Fading(nv.Observer):
-    """Halves the strain of traces after each step. This is a relaxation at the rate 1/tau, which has no
-    limit for tau -> 0."""
+    """Halves the strain of traces after each step. The strain relaxes at the rate 1/tau, which has no limit
+    for tau -> 0."""
 
     def step(self, simulation: nv.Simulation, row: dict[str, float]) -> None:
         step, material = simulation.rothe_step, simulation.model.material
@@ -194,9 +194,9 @@ DELTAS, TAU, STEPS = (1e-2, 1e-3, 1e-4, 1e-5), 0.02, 8
 def delta_terms(run: nv.Simulation) -> Callable[[], np.ndarray]:
     """Make a function that returns norms of the delta-terms in the present state.
 
-    They are the L2 norms of div(delta |grad rho|^{r-2} grad rho) and of delta Laplace z, and the L^{r'} norm
-    of the compensating force delta |grad rho|^{r-2} (grad v) grad rho.  Both L2 norms are computed as in the
-    scheme, from Riesz representatives in the spaces of rho and z.
+    The norms are the L2 norms of div(delta |grad rho|^{r-2} grad rho) and of delta Laplace z, and the L^{r'}
+    norm of the compensating force delta |grad rho|^{r-2} (grad v) grad rho.  Both L2 norms are computed as in
+    the scheme, from Riesz representatives in the spaces of rho and z.
     """
     step, law, u = run.rothe_step, run.model.regularisation, run.rothe_step.now
     assert law is not None

@@ -65,9 +65,9 @@ _SHARP = 1.7
 def _least(dim: int, k: int, m: int) -> tuple[float, float]:
     """The required rates of v and of the fields.
 
-    In 2D the required rate is m + 1 - 0.3. In 3D with k = 3 or m = 2 the required rate is that of theory. For
-    upwind transport it is m + 1/2 on any mesh. For v it is min(k, m + 1/2), since the stress has the order m
-    + 1/2. With k = 2 it is at most 2.
+    In 2D the required rate is m + 1 - 0.3. In 3D with k = 3 or m = 2 the required rate is that of theory. The
+    rate of upwind transport is m + 1/2 on any mesh. The rate of v is min(k, m + 1/2), since the stress has
+    the order m + 1/2. With k = 2 the rate of v is at most 2.
     """
     if dim == 3 and (k == 3 or m == 2):
         least = min(m + 0.5, _SHARP) if k == 2 else min(m + 0.5, k)

@@ -203,9 +203,9 @@ def _foundation() -> Measured:
 
 
 # --- toroidal modes of a ball --------------------------------------------------------------------------
-"""A toroidal displacement rotates the parts of a shell about an axis by different angles. It is tangential to
-the sphere and changes no volume, so that a wall with slip acts like a free surface. In a homogeneous ball of
-radius R with shear speed c the velocity of mode nTl about z is
+"""A toroidal displacement rotates the parts of a shell about an axis by different angles. Such a displacement
+is tangential to the sphere and changes no volume, so that a wall with slip acts like a free surface. In a
+homogeneous ball of radius R with shear speed c the velocity of mode nTl about z is
 
     v = j_l(k r)/r^l  Q_l(r, z)  (-y, x, 0),      r^{l-1} P_l'(z/r) = Q_l,      omega = k c,
 
