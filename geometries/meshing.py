@@ -35,6 +35,7 @@ from ngvisco.errors import (
     UnknownNameError,
     as_integer,
     as_number,
+    require_known,
     require_names,
     require_type,
 )
@@ -260,9 +261,7 @@ def refine_walls(mesh: Mesh, names: Iterable[str], times: int = 1) -> Mesh:
         raise ParameterError("refine_walls.times", times, "an integer >= 0")
     names = [names] if isinstance(names, str) else require_names("refine_walls.names", names)
     known = set(mesh.GetBoundaries())
-    for name in names:
-        if name not in known:
-            raise UnknownNameError("boundary", name, known, "refine_walls.names")
+    require_known("boundary", names, known, "refine_walls.names")
     return _bisected(mesh, number, names)
 
 

@@ -11,7 +11,7 @@ import math
 import numbers
 import pickle
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from fractions import Fraction
 from functools import cache
 from pathlib import Path
@@ -81,6 +81,13 @@ class UnknownNameError(NgviscoError, KeyError):
 
     def __str__(self) -> str:  # KeyError would print the repr of the message
         return self.message
+
+
+def require_known(kind: str, names: Iterable[str], known: Collection[str], key: str = "") -> None:
+    """Raise UnknownNameError for the first of the names that is not ``known``."""
+    for name in names:
+        if name not in known:
+            raise UnknownNameError(kind, name, known, key)
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 from ngvisco.case import toml
 from ngvisco.case.reference import KeyEntry, entries, matches
 from ngvisco.case.section import TAGS
-from ngvisco.errors import UnknownNameError
+from ngvisco.errors import require_known
 
 _COLUMN = 46
 """The column at which comments begin."""
@@ -36,8 +36,7 @@ def template(name: str) -> str:
     default, or else an example, as value.  Raises UnknownNameError if there is no such demo.
     """
     files = demos()
-    if name not in files:
-        raise UnknownNameError("demo", name, files)
+    require_known("demo", [name], files)
     text, every = files[name].read_text(encoding="utf-8"), entries()
     lines = _HEAD.format(name).split("\n")
     for block in re.split(r"^(?=\[)", text, flags=re.M):

@@ -23,7 +23,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from ngsolve import CF, L2, CoefficientFunction, GridFunction, LinearForm, ds, specialcf, x, y, z
 
-from ngvisco.errors import ParameterError, UnknownNameError
+from ngvisco.errors import ParameterError, require_known
 from ngvisco.forms.boundary.boundaries import facet_indicator
 from ngvisco.forms.boundary.walls import MovingWalls
 from ngvisco.forms.fields import Fields
@@ -55,9 +55,7 @@ class WallReactions:
             expected = "at least one wall, but the mesh is periodic in all directions"
             raise ParameterError("WallForces.walls", "no walls", expected)
         self.names = list(walls) if names is None else list(names)
-        for name in self.names:
-            if name not in walls:
-                raise UnknownNameError("wall", name, walls, "WallForces.walls")
+        require_known("wall", self.names, walls, "WallForces.walls")
         self.motions = rigid_motions(step.layout.symmetry, step.mesh.dim, about)
         space = step.layout.blocks["v"]
         interpolated, interpolate = GridFunction(space), Interpolation(space)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from ngvisco.errors import ParameterError, Quantity, UnknownNameError, require_path, require_some_names
+from ngvisco.errors import ParameterError, Quantity, require_known, require_path, require_some_names
 from ngvisco.run.body_tables import require_bodies
 from ngvisco.run.files import AnyPath
 from ngvisco.run.fraction_samples import FractionSamples
@@ -54,9 +54,7 @@ class Contours(Series):
             expected = "no contours in 3D; ParaView can draw the surfaces"
             raise ParameterError("Contours.bodies", self.bodies, expected)
         numbers = {body.name: number for number, body in enumerate(bodies, start=1)}
-        for name in self.bodies or ():
-            if name not in numbers:
-                raise UnknownNameError("body", name, numbers, "Contours.bodies")
+        require_known("body", self.bodies or (), numbers, "Contours.bodies")
         chosen = self.bodies or [body.name for body in bodies if body.where is not None]
         self._numbers = {name: numbers[name] for name in chosen}
         self._fractions = FractionSamples(simulation.rothe_step, simulation.ranks, chosen)

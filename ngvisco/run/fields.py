@@ -31,7 +31,7 @@ from itertools import takewhile
 import numpy as np
 from ngsolve import CF, CoefficientFunction, acos, cos, sqrt
 
-from ngvisco.errors import ParameterError, UnknownNameError
+from ngvisco.errors import ParameterError, UnknownNameError, require_known
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.system import Step
 from ngvisco.forms.unknown_values import hessian_basis
@@ -136,9 +136,7 @@ def scalar_fields(
     norms = {name: sqrt(square(value)) for name, value in fields.items() if value.dim > 1}
     scalars = norms | components(fields)
     chosen = [name for name in USUAL if name in scalars] if names is None else names
-    for name in chosen:
-        if name not in scalars:
-            raise UnknownNameError("field", name, scalars, "fields")
+    require_known("field", chosen, scalars, "fields")
     return {name: scalars[name] for name in chosen}
 
 

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from ngsolve import CF, sqrt
 
-from ngvisco.errors import InitialDataError, NgviscoWarning, ParameterError, StepError, UnknownNameError
+from ngvisco.errors import InitialDataError, NgviscoWarning, ParameterError, StepError, require_known
 from ngvisco.forms.distance import ENERGIES, NUMERICAL, energies
 from ngvisco.forms.entry_integrals import EntryIntegrals
 from ngvisco.forms.mesh.quadrature import Sampler
@@ -169,8 +169,7 @@ class Ledger:
 
     def column(self, name: str) -> np.ndarray:
         """Values of a column in all rows so far."""
-        if name not in self.columns:
-            raise UnknownNameError("ledger column", name, self.columns)
+        require_known("ledger column", [name], self.columns)
         return np.array([row[name] for row in self.rows])
 
     def exchanged(self, *names: str) -> np.ndarray:

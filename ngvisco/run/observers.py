@@ -14,10 +14,10 @@ from ngvisco.errors import (
     Declared,
     ParameterError,
     Quantity,
-    UnknownNameError,
     as_numbers,
     require_count,
     require_file,
+    require_known,
     require_path,
     require_positive,
     require_some_names,
@@ -272,9 +272,7 @@ class VTKSeries:
 
     def prepare(self, simulation: Simulation) -> None:
         """Raise UnknownNameError for the name of a field that the simulation does not have."""
-        for name in self.names or ():
-            if name not in simulation.fields:
-                raise UnknownNameError("field", name, simulation.fields, "VTKSeries.fields")
+        require_known("field", self.names or (), simulation.fields, "VTKSeries.fields")
 
     def start(self, simulation: Simulation) -> None:
         self.prepare(simulation)

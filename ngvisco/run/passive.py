@@ -26,7 +26,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from ngsolve import CF, CoefficientFunction, FESpace, GridFunction, Mesh, sqrt, x, y, z
 
-from ngvisco.errors import CheckpointError, InputWarning, ParameterError, UnknownNameError
+from ngvisco.errors import CheckpointError, InputWarning, ParameterError, require_known
 from ngvisco.forms import carrier as transport
 from ngvisco.forms.carrier import Carrier, cells_of
 from ngvisco.forms.distances import Distances
@@ -46,9 +46,7 @@ class PassiveFields:
     """
 
     def __init__(self, step: Step, names: Sequence[str], F_0: CoefficientFunction = IDENTITY) -> None:
-        for name in names:
-            if name not in NAMES:
-                raise UnknownNameError("passive field", name, NAMES, "passive")
+        require_known("passive field", names, NAMES, "passive")
         self.step, self.names = step, tuple(dict.fromkeys(names))
         dim = step.mesh.dim
         self._stages: list[dict[str, np.ndarray]] = []

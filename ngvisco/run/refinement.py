@@ -23,9 +23,9 @@ from ngvisco.errors import (
     NgviscoWarning,
     ParameterError,
     Quantity,
-    UnknownNameError,
     as_number,
     require_fields,
+    require_known,
     require_type,
 )
 from ngvisco.forms.mesh.mesh_arrays import coordinates, is_simplicial, vertices
@@ -90,8 +90,7 @@ class Refinement:
     def steep(self, simulation: Simulation) -> np.ndarray:
         """Whether each cell of the whole mesh is to be divided, (cells,), on the first rank; collective."""
         fields = simulation.fields
-        if self.field not in fields:
-            raise UnknownNameError("Refinement.field", self.field, fields, "Refinement.field")
+        require_known("Refinement.field", [self.field], fields, "Refinement.field")
         mesh, sampler, usual = simulation.mesh, simulation.sampler, self._usual(simulation)
         cells, rows = sampler.points["nr"], sampler.rows(fields[self.field])
         values = rows[:, 0] if rows.shape[1] == 1 else np.linalg.norm(rows, axis=1)

@@ -19,9 +19,9 @@ from ngvisco.errors import (
     CheckpointError,
     NotANumberError,
     Quantity,
-    UnknownNameError,
     require_count,
     require_file,
+    require_known,
 )
 from ngvisco.run.files import AnyPath, append, csv_text, write_atomically
 
@@ -90,8 +90,7 @@ class Series(ABC):
 
     def column(self, name: str) -> np.ndarray:
         """Values of a column in all rows so far; ``"time"`` is in s."""
-        if name not in self.columns:
-            raise UnknownNameError("column", name, self.columns)
+        require_known("column", [name], self.columns)
         return np.array([row[self.columns.index(name)] for row in self.rows])
 
     def may_be_nan(self, column: str) -> bool:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ngvisco.errors import ParameterError, UnknownNameError
+from ngvisco.errors import ParameterError, require_known
 from ngvisco.forms.distance import NUMERICAL
 from ngvisco.run.body_tables import Bodies
 from ngvisco.run.extrema import Extrema
@@ -87,8 +87,7 @@ class Columns:
         for name in self.names:
             if name in refused:
                 raise ParameterError("of", name, f"a column that has a derivative, but {refused[name]}")
-            if name not in differentiable:
-                raise UnknownNameError("column", name, differentiable, "of")
+            require_known("column", [name], differentiable, "of")
             if (count := [*ledger.columns, *chain.from_iterable(of_tables)].count(name)) > 1:
                 expected = (
                     f"the name of one column, but {count} columns have this name; rename the column of a "

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from ngsolve import GridFunction
 
-from ngvisco.errors import ParameterError, UnknownNameError, require_collection, require_type
+from ngvisco.errors import ParameterError, require_collection, require_known, require_type
 from ngvisco.forms.projections import inverse_mass
 from ngvisco.physics.parameters import Parameter
 from ngvisco.run.files import AnyPath
@@ -88,8 +88,7 @@ class Gradient:
         layout, slices = step.layout, step.layout.states.slices
         scalars = {name: part for name, part in slices.items() if part.stop - part.start == 1}
         blocks = {"density": "rho"} if "rho" in layout.ranges else {}
-        if name not in (*blocks, *scalars):
-            raise UnknownNameError("scalar field", name, (*blocks, *scalars))
+        require_known("scalar field", [name], (*blocks, *scalars))
         block = blocks.get(name, "z")
         variable = next((v for v in self.simulation.model.material.variables if v.name == name), None)
         if isinstance(variable, Parameter) and variable.mean != "arithmetic":
@@ -106,8 +105,7 @@ class Gradient:
         return result
 
     def _row(self, name: str) -> int:
-        if name not in self.of:
-            raise UnknownNameError("number", name, self.of)
+        require_known("number", [name], self.of)
         return self.of.index(name)
 
     def __str__(self) -> str:

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from ngvisco.errors import NgviscoError, ParameterError, UnknownNameError, as_number
+from ngvisco.errors import NgviscoError, ParameterError, UnknownNameError, as_number, require_known
 from ngvisco.run.simulation import Observer, Simulation
 
 _OF_MODEL = ("material", "viscosity", "hyperviscosity", "creep", "heat", "regularisation", "loads", "bodies")
@@ -75,8 +75,7 @@ class Named:
             raise ParameterError("by", name, 'names of parameters, e.g. "material.G_e"')
         keys = tuple(name.split("."))
         keys = keys[1:] if keys[0] in _IN_FRONT else keys
-        if keys[0] not in (*_OF_MODEL, *_OF_RUN):
-            raise UnknownNameError(PART, keys[0], (*_OF_MODEL, *_OF_RUN), "by")
+        require_known(PART, keys[:1], (*_OF_MODEL, *_OF_RUN), "by")
         part = _found(_root(simulation, keys[0]), keys[1:], name)
         value = as_number(part)
         if value is None:

@@ -14,7 +14,7 @@ from typing import Annotated
 import numpy as np
 from ngsolve import CoefficientFunction, GridFunction, Mesh
 
-from ngvisco.errors import ParameterError, Quantity, UnknownNameError, as_place, require_fields
+from ngvisco.errors import ParameterError, Quantity, as_place, require_fields, require_known
 from ngvisco.shapes.fractions import fractions
 from ngvisco.shapes.places import Places
 
@@ -288,9 +288,7 @@ class Subdomain(Shape):
 
     def level(self, at: Places) -> np.ndarray:
         materials = at.mesh.GetMaterials()
-        for name in self.names:
-            if name not in materials:
-                raise UnknownNameError("subdomain", name, materials, "Subdomain.names")
+        require_known("subdomain", self.names, materials, "Subdomain.names")
         is_named = np.array([name in self.names for name in materials])
         elements = at.mesh.ngmesh.Elements2D() if at.mesh.dim == 2 else at.mesh.ngmesh.Elements3D()
         index = elements.NumPy()["index"][at.cell_numbers]  # counted from 1

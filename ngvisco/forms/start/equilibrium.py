@@ -38,7 +38,7 @@ from ngsolve import (
     grad,
 )
 
-from ngvisco.errors import InitialDataError, InputWarning, ParameterError, UnknownNameError
+from ngvisco.errors import InitialDataError, InputWarning, ParameterError, require_known
 from ngvisco.forms.given_values import bulk_pressure
 from ngvisco.forms.mesh.locating import Located, as_points
 from ngvisco.forms.mesh.quadrature import Sampler
@@ -218,8 +218,7 @@ class Column:
         ranks, sampler = self.sampler.ranks, self.sampler
         if isinstance(datum, str):
             walls = self.step.walls
-            if datum not in walls.conditions:
-                raise UnknownNameError("wall", datum, walls.conditions, "Initial.datum")
+            require_known("wall", [datum], walls.conditions, "Initial.datum")
             region = walls.region([datum])
             area = float(Integrate(self._weighed(CF(1.0)), self.mesh, definedon=region))
             return lambda f: float(Integrate(self._weighed(f), self.mesh, definedon=region)) / area

@@ -23,7 +23,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from ngsolve import CF
 
-from ngvisco.errors import ParameterError, Quantity, UnknownNameError, require_some_names
+from ngvisco.errors import ParameterError, Quantity, require_known, require_some_names
 from ngvisco.physics.material import Material, Wrapper, part_of, rest_stress_and_modulus
 from ngvisco.physics.materials.network import Branches, Network
 from ngvisco.physics.materials.thermal import entropy_in
@@ -193,9 +193,7 @@ class Damaged(Wrapper):
             expected = ", since the material has no branches"
             raise ParameterError("Damaged.breaking", self.breaking, None, expected)
         object.__setattr__(self, "breaking", tuple(require_some_names("Damaged.breaking", self.breaking)))
-        for name in self.breaking:
-            if name not in self.material.parts:
-                raise UnknownNameError("branch", name, self.material.parts, "Damaged.breaking")
+        require_known("branch", self.breaking, self.material.parts, "Damaged.breaking")
 
     @property
     def _breaking(self) -> Material:

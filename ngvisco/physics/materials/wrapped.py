@@ -12,7 +12,7 @@ from typing import Annotated
 import numpy as np
 from ngsolve import CF
 
-from ngvisco.errors import NgviscoError, ParameterError, Quantity, UnknownNameError, listed
+from ngvisco.errors import NgviscoError, ParameterError, Quantity, listed, require_known
 from ngvisco.physics.flow_rules.rule import Hardening, PlasticContent
 from ngvisco.physics.material import Material, Wrapper
 from ngvisco.physics.parameters import Parameter, distinct, substituted
@@ -111,8 +111,7 @@ class WithQuadratic(Wrapper):
         forms = [self.material.with_elastic_state("F"), self.material.with_elastic_state("B")]
         strains = [{v.name for v in form.variables if v.is_strain} for form in forms]
         strain_names, named = strains[0] | strains[1], set(self.only or ())
-        for name in sorted(named - strain_names):
-            raise UnknownNameError("material variable", name, strain_names, "WithQuadratic.only")
+        require_known("material variable", sorted(named), strain_names, "WithQuadratic.only")
         having = [form for form, names in zip(forms, strains, strict=True) if named <= names]
         if not having:
             expected = " or ".join(f"names among {listed(sorted(names))} only" for names in strains)
