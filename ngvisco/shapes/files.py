@@ -53,26 +53,23 @@ class ClosedSurface(Shape):
         """Corners of the triangles, (triangles, 3, 3), m, counter-clockwise seen from outside."""
         corners = _read(Path(self.path)) * self.scale
         if not len(corners):
-            expected = "an STL file with triangles, but this file has none"
-            raise ParameterError("ClosedSurface.path", self.path, expected)
+            raise _no_surface(self.path, "an STL file with triangles, but this file has none")
         if not np.isfinite(corners).all():
-            expected = "a file of triangles with finite coordinates"
-            raise ParameterError("ClosedSurface.path", self.path, expected)
+            raise _no_surface(self.path, "a file of triangles with finite coordinates")
         size = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
         part = _connected_parts(self.path, corners, size)
         a, b, c = corners.transpose(1, 0, 2) - corners.mean(axis=(0, 1))
         volumes = np.bincount(part, weights=np.sum(a * np.cross(b, c), axis=1) / 6)
         if not (abs(volumes) > 1e-12 * size**3).any():
-            expected = "a file of a surface that encloses a volume"
-            raise ParameterError("ClosedSurface.path", self.path, expected)
+            raise _no_surface(self.path, "a file of a surface that encloses a volume")
         return np.where(_inward(corners, part, volumes)[part][:, None, None], corners[:, ::-1], corners)
 
     def level(self, at: Places) -> np.ndarray:
         if at.mesh.dim != 3:
-            expected = (
-                "no closed surface in a mesh of two dimensions, since a surface bounds no part of a plane"
+            raise _no_surface(
+                self.path,
+                "no closed surface in a mesh of two dimensions, since a surface bounds no part of a plane",
             )
-            raise ParameterError("ClosedSurface.path", self.path, expected)
         # only the sign of the crossings is used: parts that overlap give larger numbers
         inside = crossings(self.triangles, at.coordinates) > 0
         size = at.spacing.copy()
@@ -81,29 +78,31 @@ class ClosedSurface(Shape):
         return np.where(inside, size, -size)
 
 
+def _no_surface(path: str | os.PathLike[str], expected: str) -> ParameterError:
+    """The error of a file without a closed surface."""
+    return ParameterError("ClosedSurface.path", str(path), expected)
+
+
 def _read(path: Path) -> np.ndarray:
     """Corners of the triangles, (triangles, 3, 3), in the file's unit."""
     try:
         raw = path.read_bytes()
     except OSError as error:
-        expected = f"a readable file ({error.strerror})"
-        raise ParameterError("ClosedSurface.path", str(path), expected) from error
+        raise _no_surface(path, f"a readable file ({error.strerror})") from error
     count = int.from_bytes(raw[80:84], "little")
     if len(raw) >= 84 and len(raw) == 84 + count * _RECORD.itemsize:
         return np.frombuffer(raw, _RECORD, count, 84)["corners"].astype(float)
     text = raw.decode("ascii", errors="replace")
     if not text.lstrip().startswith("solid") or "endsolid" not in text:
-        raise ParameterError("ClosedSurface.path", str(path), "a whole STL file, text or binary")
+        raise _no_surface(path, "a whole STL file, text or binary")
     number = r"([+-]?[0-9.]+(?:[eE][+-]?[0-9]+)?)"
     vertices = re.findall(rf"vertex\s+{number}\s+{number}\s+{number}", text)
     if len(vertices) % 3 or len(vertices) != len(re.findall(r"\bvertex\b", text)):
-        expected = "a file of triangles, each with three corners of three numbers"
-        raise ParameterError("ClosedSurface.path", str(path), expected)
+        raise _no_surface(path, "a file of triangles, each with three corners of three numbers")
     try:
         return np.array(vertices, dtype=float).reshape(-1, 3, 3)
     except ValueError as error:
-        expected = f"a file with numbers as coordinates ({error})"
-        raise ParameterError("ClosedSurface.path", str(path), expected) from error
+        raise _no_surface(path, f"a file with numbers as coordinates ({error})") from error
 
 
 def _connected_parts(path: str | os.PathLike[str], corners: np.ndarray, size: float) -> np.ndarray:
@@ -112,16 +111,15 @@ def _connected_parts(path: str | os.PathLike[str], corners: np.ndarray, size: fl
     Raises ParameterError unless the triangles run along each edge equally often in both senses.
     """
     if size == 0:
-        expected = "a file of a surface that encloses a volume, but all corners are one point"
-        raise ParameterError("ClosedSurface.path", path, expected)
+        raise _no_surface(path, "a file of a surface that encloses a volume, but all corners are one point")
     places = np.round(corners.reshape(-1, 3) / (_SAME * size)).astype(np.int64)
     _, numbers = np.unique(places, axis=0, return_inverse=True)
     triangles = numbers.reshape(-1, 3)
     if twice := len(triangles) - len(np.unique(np.sort(triangles, axis=1), axis=0)):
-        expected = (
-            f"a file with each triangle once, but {twice} of the {len(triangles)} triangles are repeated"
+        raise _no_surface(
+            path,
+            f"a file with each triangle once, but {twice} of the {len(triangles)} triangles are repeated",
         )
-        raise ParameterError("ClosedSurface.path", path, expected)
     whole = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)  # excludes triangles collapsed to a line
     edges = np.concatenate([triangles[whole][:, [i, (i + 1) % 3]] for i in range(3)])
     _, where = np.unique(edges.min(axis=1) * (numbers.max() + 1) + edges.max(axis=1), return_inverse=True)
@@ -129,11 +127,11 @@ def _connected_parts(path: str | os.PathLike[str], corners: np.ndarray, size: fl
     sense = np.bincount(where, weights=np.sign(edges[:, 1] - edges[:, 0]))
     open_edges = int(np.count_nonzero(sense))
     if open_edges:
-        expected = (
+        raise _no_surface(
+            path,
             f"a file of a closed surface, but at {open_edges} of {len(sense)} edges the surface is open, or "
-            "neighbouring triangles have opposite orientations"
+            "neighbouring triangles have opposite orientations",
         )
-        raise ParameterError("ClosedSurface.path", path, expected)
     owner = np.tile(np.flatnonzero(whole), 3)
     count = len(triangles) + len(sense)  # nodes of the graph: triangles and edges
     graph = coo_matrix((np.ones(len(owner)), (owner, len(triangles) + where)), shape=(count, count))
