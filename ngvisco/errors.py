@@ -449,6 +449,15 @@ def as_numbers(field: str, value: object, expected: str = "a sequence of finite 
     return [number for number in numbers if number is not None]
 
 
+def as_array(value: object) -> np.ndarray:
+    """The value as an array of finite numbers; for other values an empty array, (0,)."""
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        return np.zeros(0)
+    return array if np.isfinite(array).all() else np.zeros(0)
+
+
 def as_place(field: str, value: object) -> tuple[float, ...]:
     """Coordinates of a place, two or three finite numbers, m; raises ParameterError for other values."""
     expected = "two or three finite numbers"

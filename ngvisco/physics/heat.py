@@ -14,7 +14,7 @@ from typing import Annotated, Any, TypeAlias
 import numpy as np
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import ParameterError, Quantity, as_number
+from ngvisco.errors import ParameterError, Quantity, as_array, as_number
 from ngvisco.physics.parameters import Checked
 from ngvisco.physics.tensors import linear_map
 from ngvisco.physics.variables import Values
@@ -126,12 +126,8 @@ class Heat(Checked):
 
 def _matrix(owner: str, value: object) -> tuple[tuple[float, ...], ...]:
     """The rows of a conductivity matrix; raises ParameterError for any other value."""
-    try:
-        matrix = np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        matrix = np.zeros(0)
     expected = "a number >= 0, or a function of the temperature, or a 3x3 matrix"
-    if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
+    if (matrix := as_array(value)).shape != (3, 3):
         raise ParameterError(owner, value, expected)
     size = abs(matrix).max()
     if abs(matrix - matrix.T).max() > 1e-12 * size:

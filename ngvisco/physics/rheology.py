@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ngvisco.errors import ParameterError, Quantity, require_effect
+from ngvisco.errors import ParameterError, Quantity, as_array, require_effect
 from ngvisco.physics.parameters import Checked, Modulus, value_at
 from ngvisco.physics.tensors import (
     Scalar,
@@ -275,13 +275,7 @@ class LinearViscosity(Viscosity):
         eigenvalues."""
         shape = (3, 3, 3, 3) if self.notation == "tensor" else (6, 6)
         expected = f"{'x'.join(map(str, shape))} finite numbers in the notation {self.notation!r}"
-        try:
-            array = np.array(self.D, dtype=float)
-        except (TypeError, ValueError):
-            raise ParameterError("LinearViscosity.D", self.D, expected) from None
-        if array.shape != shape:
-            raise ParameterError("LinearViscosity.D", f"an array of shape {array.shape}", expected)
-        if not np.isfinite(array).all():
+        if (array := as_array(self.D)).shape != shape:
             raise ParameterError("LinearViscosity.D", self.D, expected)
         if self.notation == "tensor":
             for axes, names in (((1, 0, 2, 3), "jikl"), ((0, 1, 3, 2), "ijlk"), ((2, 3, 0, 1), "klij")):

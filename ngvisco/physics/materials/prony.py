@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ngvisco.errors import ParameterError, Quantity
+from ngvisco.errors import ParameterError, Quantity, as_array
 from ngvisco.physics.activation import WLF, Activated
 from ngvisco.physics.flow_rules import Creep, FlowRule
 from ngvisco.physics.material import Material
@@ -115,11 +115,8 @@ def read_prony(path: str | os.PathLike[str]) -> np.ndarray:
 
 
 def _table(prony: Any) -> np.ndarray:
-    try:
-        rows = np.array(prony, dtype=float)
-    except (TypeError, ValueError):
-        rows = np.zeros(0)
-    if rows.ndim != 2 or rows.shape[1] != 2 or not len(rows) or not (np.isfinite(rows) & (rows > 0)).all():
+    rows = as_array(prony)
+    if rows.ndim != 2 or rows.shape[1] != 2 or not len(rows) or not (rows > 0).all():
         expected = "rows [g, tau] of two numbers > 0: a share g of the modulus, and a time tau in s"
         raise ParameterError("prony_network.prony", prony, expected)
     return rows
