@@ -350,8 +350,7 @@ def declared(kind: type) -> dict[str, Declared]:
 
 
 def require_fields(owner: Any, called: str = "") -> None:
-    """Raise ParameterError unless every parameter of a dataclass has the type and the range of its
-    annotation.
+    """Raise ParameterError unless each parameter of a dataclass has the type and range of its annotation.
 
     Parameters whose type admits objects of other packages are not checked.  ``called`` is the name of the
     object in the error, by default that of its class.
@@ -383,16 +382,10 @@ def require_effect(owner: Any, has_effect: bool, where: str, *names: str) -> Non
             raise ParameterError(f"{type(owner).__name__}.{field.name}", value, expected)
 
 
-def require_positive(owner: str, **values: float) -> None:
-    """Raise ParameterError unless every value is a finite number > 0."""
+def require_numbers(owner: str, range: str, kind: type, **values: object) -> None:
+    """Raise ParameterError unless every value is a number of the ``kind``, int or float, in the range."""
     for name, value in values.items():
-        Declared("> 0", (float,)).taken(f"{owner}.{name}", value)
-
-
-def require_count(owner: str, **values: int) -> None:
-    """Raise ParameterError unless every value is an integer >= 1."""
-    for name, value in values.items():
-        Declared(">= 1", (int,)).taken(f"{owner}.{name}", value)
+        Declared(range, (kind,)).taken(f"{owner}.{name}", value)
 
 
 def require_type(field: str, value: object, kind: type) -> None:
@@ -447,15 +440,6 @@ def as_numbers(field: str, value: object, expected: str = "a sequence of finite 
     if None in numbers:
         raise ParameterError(field, value, expected)
     return [number for number in numbers if number is not None]
-
-
-def as_array(value: object) -> np.ndarray:
-    """The value as an array of finite numbers; for other values an empty array, (0,)."""
-    try:
-        array = np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        return np.zeros(0)
-    return array if np.isfinite(array).all() else np.zeros(0)
 
 
 def as_place(field: str, value: object) -> tuple[float, ...]:

@@ -28,7 +28,7 @@ from ngvisco.errors import (
     NgviscoWarning,
     ParameterError,
     as_integer,
-    require_positive,
+    require_numbers,
     require_type,
 )
 from ngvisco.physics.material import Material
@@ -200,7 +200,7 @@ _STATES = 256
 def _sampling(owner: str, material: Material, dim: int, spread: float, seed: int) -> StateSampling:
     """The sampling of states, after a check of the arguments; raises ParameterError."""
     require_type(f"{owner}.material", material, Material)
-    require_positive(owner, spread=spread)
+    require_numbers(owner, "> 0", float, spread=spread)
     dimension, number = as_integer(dim), as_integer(seed)
     if dimension not in (2, 3):
         raise ParameterError(f"{owner}.dim", dim, "2 or 3")

@@ -14,9 +14,9 @@ from typing import Annotated, Any, TypeAlias
 import numpy as np
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import ParameterError, Quantity, as_array, as_number
+from ngvisco.errors import ParameterError, Quantity, as_number
 from ngvisco.physics.parameters import Checked
-from ngvisco.physics.tensors import linear_map
+from ngvisco.physics.tensors import as_array, linear_map
 from ngvisco.physics.variables import Values
 
 Function: TypeAlias = float | CoefficientFunction

@@ -12,11 +12,12 @@ from typing import Annotated, Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ngvisco.errors import ParameterError, Quantity, as_array, require_effect
+from ngvisco.errors import ParameterError, Quantity, require_effect
 from ngvisco.physics.parameters import Checked, Modulus, value_at
 from ngvisco.physics.tensors import (
     Scalar,
     Tensor,
+    as_array,
     dev,
     identity_like,
     inner,

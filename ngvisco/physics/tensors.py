@@ -115,6 +115,15 @@ def cof(A: Tensor) -> Tensor:
     return A.cofactor() if hasattr(A, "cofactor") else Cof(A)
 
 
+def as_array(value: object) -> np.ndarray:
+    """The value as an array of finite numbers; for other values an empty array, (0,)."""
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        return np.zeros(0)
+    return array if np.isfinite(array).all() else np.zeros(0)
+
+
 def constant(array: np.ndarray) -> Tensor:
     """An array of numbers as a coefficient function of its shape; equal arrays give one object."""
     return _constant(np.asarray(array, dtype=float).tobytes(), array.shape)

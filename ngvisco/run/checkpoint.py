@@ -41,7 +41,7 @@ from typing import TYPE_CHECKING, Annotated
 import h5py
 import numpy as np
 
-from ngvisco.errors import Declared, Quantity, require_count, require_file
+from ngvisco.errors import Declared, Quantity, require_file, require_numbers
 from ngvisco.run.files import AnyPath, write_atomically
 from ngvisco.run.ledger import Ledger, unit
 from ngvisco.run.series import Every, Series
@@ -92,7 +92,7 @@ class Checkpoints:
         keep: Annotated[int, Quantity("1", ">= 1")] = 2,
         attributes: Mapping[str, str] | None = None,
     ) -> None:
-        require_count("Checkpoints", every=every, keep=keep)
+        require_numbers("Checkpoints", ">= 1", int, every=every, keep=keep)
         self.path = require_file("Checkpoints.path", path)
         self.every, self.keep = int(every), int(keep)
         texts = Declared("", (Mapping[str, str], NoneType))

@@ -15,11 +15,10 @@ from ngvisco.errors import (
     ParameterError,
     Quantity,
     as_numbers,
-    require_count,
     require_file,
     require_known,
+    require_numbers,
     require_path,
-    require_positive,
     require_some_names,
 )
 from ngvisco.forms.distance import NUMERICAL
@@ -59,8 +58,8 @@ class Progress:
     on_first_rank = True
 
     def __init__(self, until: float, every: int = 1, stream: TextIO | None = None) -> None:
-        require_count("Progress", every=every)
-        require_positive("Progress", until=until)
+        require_numbers("Progress", ">= 1", int, every=every)
+        require_numbers("Progress", "> 0", float, until=until)
         if not (stream is None or hasattr(stream, "write")):
             raise ParameterError("Progress.stream", stream, "an open text file, or None")
         self.until, self.every, self.stream = float(until), int(every), stream
@@ -260,7 +259,7 @@ class VTKSeries:
         times: Sequence[float] = (),
     ) -> None:
         if every is not None:
-            require_count("VTKSeries", every=every)
+            require_numbers("VTKSeries", ">= 1", int, every=every)
         self.directory, self.every = require_path("VTKSeries.directory", directory), every
         if self.directory.exists() and not self.directory.is_dir():
             expected = "a directory, but this path is a file"

@@ -19,9 +19,9 @@ from ngvisco.errors import (
     CheckpointError,
     NotANumberError,
     Quantity,
-    require_count,
     require_file,
     require_known,
+    require_numbers,
 )
 from ngvisco.run.files import AnyPath, append, csv_text, write_atomically
 
@@ -64,7 +64,7 @@ class Series(ABC):
     """Group of a run's HDF5 file that holds the columns too; None (default) for no group."""
 
     def __init__(self, path: AnyPath | None = None, every: Every = 1) -> None:
-        require_count(type(self).__name__, every=every)
+        require_numbers(type(self).__name__, ">= 1", int, every=every)
         self.path = None if path is None else require_file(f"{type(self).__name__}.path", path)
         self.every = every
         self.columns: list[str] = []

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from ngsolve import BND, VOL, CoefficientFunction, Mesh
 
-from ngvisco.errors import MeshError, ParameterError, as_array
+from ngvisco.errors import MeshError, ParameterError
 from ngvisco.forms.mesh.mesh_arrays import coordinates
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import MeshPart
@@ -23,8 +23,11 @@ def as_points(field: str, value: object, dim: int) -> np.ndarray:
     Raises ParameterError for no points, and for a point without ``dim`` finite coordinates.
     """
     expected = f"points of {dim} finite coordinates"
-    points = np.atleast_2d(as_array(value))
-    if points.ndim != 2 or points.shape[1] != dim or not points.size:
+    try:
+        points = np.array(value, dtype=float, ndmin=2)
+    except (TypeError, ValueError) as error:
+        raise ParameterError(field, value, expected) from error
+    if points.ndim != 2 or points.shape[1] != dim or not points.size or not np.isfinite(points).all():
         raise ParameterError(field, value, expected)
     return points
 

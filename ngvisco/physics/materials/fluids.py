@@ -23,7 +23,7 @@ from typing import Annotated, Literal
 import numpy as np
 from ngsolve import CF
 
-from ngvisco.errors import ParameterError, Quantity, require_effect, require_positive
+from ngvisco.errors import ParameterError, Quantity, require_effect, require_numbers
 from ngvisco.physics.materials.hyperelastic import ContinuedInJ, inverse_power, referential_volume
 from ngvisco.physics.parameters import Modulus
 from ngvisco.physics.tensors import Tensor, log, log_det, tr
@@ -87,7 +87,7 @@ class BarotropicFluid(ContinuedInJ):
         gamma, rho_R, form, J_min
             As for ``BarotropicFluid``.
         """
-        require_positive("BarotropicFluid", a=a)
+        require_numbers("BarotropicFluid", "> 0", float, a=a)
         fluid = cls(B=1.0, gamma=gamma, form=form, J_min=J_min, rho_R=rho_R)
         with np.errstate(over="ignore"):
             B = float(a * np.float64(rho_R) ** gamma / (gamma - 1))

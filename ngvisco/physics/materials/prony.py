@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ngvisco.errors import ParameterError, Quantity, as_array
+from ngvisco.errors import ParameterError, Quantity
 from ngvisco.physics.activation import WLF, Activated
 from ngvisco.physics.flow_rules import Creep, FlowRule
 from ngvisco.physics.material import Material
@@ -23,6 +23,7 @@ from ngvisco.physics.materials.linearised import LinearElastic
 from ngvisco.physics.materials.network import Branch, Network
 from ngvisco.physics.parameters import Modulus
 from ngvisco.physics.signals import number_rows
+from ngvisco.physics.tensors import as_array
 
 SPRING = "spring"
 """Name of the branch that does not relax; the others are ``mode_1``, ``mode_2``, ..."""
