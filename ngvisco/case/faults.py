@@ -65,6 +65,7 @@ _WORDS = {
     "model_attributes_type": "expected a table",
     "too_short": "expected at least one name; without this key, the default names are taken",
     "literal_error": "expected {expected}",
+    "string_pattern_mismatch": "expected 1 to 60 characters, each a letter, a digit, '_' or '-'",
 }
 """Messages that replace those of pydantic, by the type of its error."""
 

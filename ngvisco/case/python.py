@@ -7,7 +7,7 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
-from typing import Annotated, Any
+from typing import Annotated
 
 from ngvisco.errors import ParameterError, Quantity
 from ngvisco.physics.material import Material
@@ -43,7 +43,8 @@ def python_material(
     module, arguments = _module(path, content), dict(parameters or {})
     target = getattr(module, law, None)
     if not callable(target):
-        names = (name for name, value in vars(module).items() if _is_own(value, module))
+        named = vars(module).items()
+        names = (n for n, v in named if callable(v) and getattr(v, "__module__", "") == module.__name__)
         file, known = Path(path).name, ", ".join(names) or "none"
         expected = f"the name of a class or function of {file} that makes a material; {file} has {known}"
         raise ParameterError(f"{KIND}.law", law, expected)
@@ -62,10 +63,6 @@ def python_material(
         expected = f"a class or function that makes an ngvisco.Material, not a {type(material).__name__}"
         raise ParameterError(f"{KIND}.law", law, expected)
     return material
-
-
-def _is_own(value: Any, module: ModuleType) -> bool:
-    return callable(value) and getattr(value, "__module__", "") == module.__name__
 
 
 @functools.cache

@@ -2,7 +2,7 @@
 
 import tomllib
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -68,7 +68,7 @@ def sections_of(text: str, source: str, directory: Path, settings: Sequence[str]
     except RecursionError as error:
         raise locator.error((), "the tables are nested too deeply") from error
     units = [name for name in ("length", "time") if name in converter.scales]
-    if units and "velocity" not in converter.scales and (keys := plain_velocities(locator.data)):
+    if units and "velocity" not in converter.scales and (keys := list(plain_velocities(locator.data))):
         units_in = " and ".join(f"{name} in {locator.data['units'][name]}" for name in units)
         message = (
             f"[units] has {units_in}, but velocities without a unit are in m/s; to change this, set "
@@ -78,12 +78,10 @@ def sections_of(text: str, source: str, directory: Path, settings: Sequence[str]
     return locator
 
 
-def plain_velocities(data: Any) -> list[str]:
-    """Keys of a case whose values are nonzero velocities without a unit."""
-    keys = []
+def plain_velocities(data: Any) -> Iterator[str]:
+    """Yield keys of a case whose values are nonzero velocities without a unit."""
     for path, value in nodes(data):
         if path[-1:] in (("velocity",), ("velocity_scale",)) and path[0] != "units":
             parts = value if isinstance(value, list) else [value]
             if any(part != 0 and not has_unit(part) for part in parts):
-                keys.append(".".join(path))
-    return keys
+                yield ".".join(path)

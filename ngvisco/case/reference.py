@@ -245,12 +245,11 @@ def line(entry: KeyEntry) -> str:
     return f"  {entry.name}{kinds}: {entry.type}{unit}; {entry.default_text}; {entry.meaning}"
 
 
-def cards(every: Sequence[KeyEntry]) -> list[str]:
-    """Cards with all properties of the keys; kinds that differ only in words share a card."""
+def cards(every: Sequence[KeyEntry]) -> Iterator[str]:
+    """Yield cards with all properties of the keys; kinds that differ only in words share a card."""
     groups: dict[tuple[str, ...], list[KeyEntry]] = {}
     for entry in every:
         groups.setdefault((entry.name, entry.type, entry.unit, entry.default_text), []).append(entry)
-    texts = []
     for (name, kind, unit, default), (entry, *similar) in groups.items():
         of_number = "none (a pure number)" if unit == "1" else unit
         rows = [("type", kind), ("unit", of_number), ("default", default)]
@@ -260,8 +259,7 @@ def cards(every: Sequence[KeyEntry]) -> list[str]:
             rows.append(("meaning", entry.meaning))
         rows.append(("example", "" if entry.example is None else entry.example_text))
         rows.append(("of", "" if similar else ", ".join(entry.kinds)))
-        texts.append("\n".join([name, *(f"  {label:8s} {text}" for label, text in rows if text)]))
-    return texts
+        yield "\n".join([name, *(f"  {label:8s} {text}" for label, text in rows if text)])
 
 
 def markdown() -> str:

@@ -73,8 +73,11 @@ def run(
         simulation = case.simulation(_mesh_of_first(case, ranks, lambda: mesh_of(images[0])))
     origin: dict[str, Any] | None = None
     if source is not None:
-        with _naming_source():
+        try:
             state = load(source).simulation
+        except NgviscoError as error:
+            error.key = "source"  # the directory from which the run starts is at fault
+            raise
         origin = {"directory": str(Path(source).resolve()), "step": state.number}
         notes.append(_taken_over(state, origin, simulation))
         _check_times(case, simulation, is_new=True)
@@ -202,17 +205,6 @@ def _go(
     if message := simulation.ledger.unclosed:
         write(message)
     return simulation
-
-
-@contextlib.contextmanager
-def _naming_source() -> Iterator[None]:
-    """Context in which errors get the key ``source``, since the directory that a run starts from causes
-    them."""
-    try:
-        yield
-    except NgviscoError as error:
-        error.key = "source"
-        raise
 
 
 def _taken_over(old: Simulation, origin: dict[str, Any], simulation: Simulation) -> str:

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
@@ -160,12 +159,6 @@ BodySection: Any = section(
 )
 
 
-def _check_name(name: str) -> str:
-    if not re.fullmatch(r"[A-Za-z0-9_-]{1,60}", name):
-        raise ValueError("expected 1 to 60 characters, each a letter, a digit, '_' or '-'")
-    return name
-
-
 class _Series(Section):
     """The keys of the VTK series that say when it is written."""
 
@@ -184,8 +177,8 @@ Checkpoint = section(Checkpoints, without=("path", "attributes"), is_whole=False
 class _Named(Section):
     """The keys of one of several tables over time."""
 
-    name: Annotated[str, AfterValidator(_check_name), Quantity(example="middle")] = Field(
-        description="Letters, digits, _ and -; the file is samples/NAME.csv"
+    name: Annotated[str, Quantity(example="middle")] = Field(
+        pattern="^[A-Za-z0-9_-]{1,60}$", description="Letters, digits, _ and -; the file is samples/NAME.csv"
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -153,12 +153,12 @@ class Scales:
         """Sentences of advice about dt, maxh and the material; empty if no number stands out."""
         return [*self._of_waves(), *self._of_matter(), *self._of_motion(), *self._of_cells()]
 
-    def _of_waves(self) -> list[str]:
-        (fast, slow), lines = self.speeds, []
+    def _of_waves(self) -> Iterator[str]:
+        fast, slow = self.speeds
         name = "shear" if slow > 0 else "longitudinal"
         if math.isfinite(self.passage) and self.dt * _FOLLOWED > self.passage and not self.is_slow:
             does = "damps these waves" if self.scheme.order == 1 else "does not resolve these waves"
-            lines.append(
+            yield (
                 f"{name} waves cross the domain in {self.passage:.2g} s, {self.passage / self.dt:.2g} "
                 f"steps, so that the scheme {self.scheme.name} {does}; to resolve these waves take "
                 f"dt <= {self.passage / _FOLLOWED:.2g} s"
@@ -167,15 +167,14 @@ class Scales:
         if self.scheme.A == midpoint().A and hard > _RINGING:
             euler = "" if self.startup else "the first steps by backward Euler (time.startup = 2), or "
             shorter = "" if self.is_slow else f", or dt <= {_RINGING * self.cell / fast:.2g} s"
-            lines.append(
+            yield (
                 f"longitudinal waves cross {hard:.3g} cells in a step. The scheme {self.scheme.name} does "
                 f"not damp such waves, so that they oscillate from step to step; take {euler}another scheme "
                 f"('sdirk2' damps waves){shorter}"
             )
-        return lines
 
-    def _of_matter(self) -> list[str]:
-        (fast, slow), lines = self.speeds, []
+    def _of_matter(self) -> Iterator[str]:
+        fast, slow = self.speeds
         if slow > 0 and (fast / slow) ** 2 > _STIFF:
             ratio, remedies = (fast / slow) ** 2, []
             if self.k < 3:
@@ -185,91 +184,84 @@ class Scales:
                 least = max(1 / spare, _STIFF / ratio)
                 less = f"a K_e {least:.1g} times as large is still stiff enough"
                 remedies.append(less + (" for the weight" if self.weight > 0 else ""))
-            lines.append(
+            yield (
                 f"the longitudinal modulus is {ratio:.2g} times the shear modulus, so that steps are hard "
                 "to solve" + "".join(f"; {remedy}" for remedy in remedies)
             )
         # the flow is slow beside its pressure waves, and the steps do not follow these waves
         if self.k == 2 and slow == 0 and self._over_flow > _LOCKS and self.dt * _FOLLOWED > self.passage:
-            lines.append(
+            yield (
                 f"the longitudinal modulus is {self._over_flow:.2g} times the stress of the flow, the larger "
                 "of rho v^2 and G_v v/L. Cells with k = 2 then lock: they damp motions at constant volume. "
                 "Compare with discretisation.k = 3"
             )
         if self.k == 1 and slow > 0 and _LOCKS < (fast / slow) ** 2 <= _STIFF:
-            lines.append(
+            yield (
                 f"the longitudinal modulus is {(fast / slow) ** 2:.2g} times the shear modulus. Cells of "
                 "order one then lock: they resist motions at constant volume, unless the cells are crossed "
                 "rectangles (structured_box in the plane, crossed = true). Compare with k = 2"
             )
         if self.weight > _SINKS:
-            lines.append(
+            yield (
                 f"the weight is {self.weight:.2g} of the longitudinal modulus, and shortens a column by "
                 f"about {50 * self.weight:.2g} %; for matter that is hardly compressible take a larger K_e"
             )
         is_denser = self.densities > _DENSER * (1 + 1e-6)
         if is_denser:
-            lines.append(
+            yield (
                 f"densities differ by the factor {self.densities:.2g}. In cells that the interface passes "
                 "the lighter body is accelerated strongly, and steps are hard to solve. Take a factor up to "
                 f"{_DENSER:g}, and a lighter body that is as viscous as the heavier one"
             )
         if is_denser and not self.one_bulk_energy:
-            lines.append(
+            yield (
                 "bodies of so different densities have different bulk energies, so that steps need many "
                 "iterations, or are divided. If the bulk energies do not matter, give all bodies one, e.g. a "
                 'medium around bodies of ReferentialNeoHookean the kind "Custom" with '
                 'energy = "K_e/2*(J - 1)*(J - 1)/J"'
             )
         if self.overstress > _ABOVE_YIELD:
-            lines.append(
+            yield (
                 f"at the rate v/L the stress exceeds the yield stress by {self.overstress:.2g} times the "
                 f"yield stress; for a smaller excess take a G_m {self.overstress / _ABOVE_YIELD:.2g} times "
                 "smaller"
             )
-        return lines
 
-    def _of_motion(self) -> list[str]:
-        lines = []
+    def _of_motion(self) -> Iterator[str]:
         passed, most = self.velocity * self.dt / self.cell, FAR if self.is_sharp else 1.0
         if passed > most:
             astray = ". With discretisation.sharp = true such steps displace interfaces"
-            lines.append(
+            yield (
                 f"matter moves by {passed:.2g} cells in a step{astray * self.is_sharp}"
                 f"{'. Such steps are hard to solve, and upwinding smears jumps' * (passed > 1)}"
                 f". Take dt <= {most * self.cell / self.velocity:.2g} s"
             )
         if self.maxwell < _RELAXED * self.dt * (1 - 1e-6):  # moduli by finite differences have rounding
-            lines.append(
+            yield (
                 f"stress relaxes in {self.maxwell:.2g} s, {self.maxwell / self.dt:.2g} steps, so that the "
                 "steps do not resolve this relaxation; to resolve the relaxation take dt <= "
                 f"{self.maxwell / _RELAXED:.2g} s"
             )
-        lines += filter(None, (self.parting, self.unborne))
-        return lines
+        yield from filter(None, (self.parting, self.unborne))
 
-    def _of_cells(self) -> list[str]:
-        lines = []
+    def _of_cells(self) -> Iterator[str]:
         layer = (
             math.sqrt(self.kinematic_viscosity * self.length / self.velocity) if self.velocity > 0 else 0.0
         )
         if self.cell * _ACROSS > self.length:
             across, enough = self.length / self.cell, self.length / _ACROSS
-            lines.append(
-                f"there are {across:.1f} cells across the domain; take cells of {enough:.2g} m or less"
-            )
+            yield (f"there are {across:.1f} cells across the domain; take cells of {enough:.2g} m or less")
         elif 0 < layer < self.cell:
-            lines.append(
+            yield (
                 f"viscous layers are {layer:.2g} m thick, thinner than a cell; if these layers matter, take "
                 f"maxh or refine <= {layer / 2:.2g} m"
             )
-        lines += [
-            f"there are {cells:.1f} cells across the body {name!r} at its thinnest part; take cells "
-            f"{_ACROSS / cells:.2g} times smaller there"
-            for name, cells in self.bodies.items()
-            if 0 < cells < _ACROSS
-        ]
-        return lines
+        for name, cells in self.bodies.items():
+            if 0 < cells < _ACROSS:
+                yield (
+                    f"there are {cells:.1f} cells across the body {name!r} at its thinnest part; take cells "
+                    f"{_ACROSS / cells:.2g} times smaller there"
+                )
 
 
 def scales(simulation: RunState) -> Scales:

@@ -109,9 +109,8 @@ class FailureReport:
         return "\n".join(lines)
 
 
-def _described(history: Sequence[Attempt]) -> list[str]:
-    """One line for each kind of start values: the number of attempts, and the end of the last attempt."""
-    lines = []
+def _described(history: Sequence[Attempt]) -> Iterator[str]:
+    """Yield a line for each kind of start values: the number of attempts, and the end of the last one."""
     for which, group in groupby(history, key=lambda attempt: attempt.start):
         attempts = list(group)
         last = attempts[-1].solution
@@ -120,8 +119,7 @@ def _described(history: Sequence[Attempt]) -> list[str]:
             solved = sum(attempt.solution.converged for attempt in attempts)
             text += f" in {len(attempts)} attempts, {solved} of them solved; the last attempt"
         increments = ", ".join(f"{iteration.increment:.1e}" for iteration in last.history[-_SHOWN:])
-        lines.append(text + f": {last.status.value}" + (f", increments {increments}" if increments else ""))
-    return lines
+        yield text + f": {last.status.value}" + (f", increments {increments}" if increments else "")
 
 
 def failure_report(simulation: RunState, error: StepError) -> FailureReport:
