@@ -150,19 +150,16 @@ def failure_report(simulation: RunState, error: StepError) -> FailureReport:
     )
 
 
-def _held(model: Model, history: Sequence[Attempt]) -> list[str]:
-    """Advice if rounding of the stress moved the body in some attempt."""
+def _held(model: Model, history: Sequence[Attempt]) -> Iterator[str]:
+    """Yield advice if rounding of the stress moved the body in some attempt."""
     if not any(attempt.solution.status is Status.ROUNDING for attempt in history):
-        return []
-    lines = [
+        return
+    yield (
         "springs (walls.NAME.stiffness), a larger density, or solver.tolerance = 1e-8, since rounding moves "
         "a stiff body that only inertia resists, the farther the shorter the steps"
-    ]
+    )
     if part_of(model.material, Thermal) is not None:
-        lines.append(
-            "thermal.theta_R near the temperature at the start, since a small entropy has little rounding"
-        )
-    return lines
+        yield "thermal.theta_R near the temperature at the start, since a small entropy has little rounding"
 
 
 def _fastest(simulation: RunState) -> tuple[float, int | None, tuple[float, ...]]:

@@ -6,6 +6,7 @@ between the corners.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -78,13 +79,13 @@ class Cut:
         """The length of the outline."""
         return float(np.linalg.norm(self.ends[:, 1, :2] - self.ends[:, 0, :2], axis=1).sum())
 
-    def lines(self) -> list[np.ndarray]:
-        """The outline as polylines, (points, columns) each; a closed line ends with its first point."""
+    def lines(self) -> Iterator[np.ndarray]:
+        """Yield the outline as polylines, (points, columns) each; a closed line ends with its first point."""
         after = {int(start): i for i, start in enumerate(self.edges[:, 0])}
         reached = set(map(int, self.edges[:, 1]))
         # open lines come before closed lines
         begun = [i for i, start in enumerate(self.edges[:, 0]) if int(start) not in reached]
-        left, lines = dict.fromkeys(range(len(self.edges))), []
+        left = dict.fromkeys(range(len(self.edges)))
         for start in (*begun, *range(len(self.edges))):
             if start not in left:
                 continue
@@ -93,8 +94,7 @@ class Cut:
                 del left[i]
                 line.append(self.ends[i, 1])
                 i = after.get(int(self.edges[i, 1]), -1)
-            lines.append(np.array(line))
-        return lines
+            yield np.array(line)
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Conditions on walls, loads and terms of a body of revolution: the axis is a slip wall, and no load crosses
 the axis."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 from ngsolve import BND
 
@@ -49,9 +49,9 @@ def require_symmetry(symmetry: Symmetry, walls: Walls, model: Model, terms: Iter
             raise ParameterError(f"walls[{name!r}]", wall, call("Slip"), expected)
 
 
-def axis_of(walls: Walls, near: float) -> list[str]:
-    """Names of the walls that lie on the axis, up to ``near``, m; collective."""
-    ranks, r, names = Communicator.of(walls.mesh), coordinates(walls.mesh)[:, 0], []
+def axis_of(walls: Walls, near: float) -> Iterator[str]:
+    """Yield names of the walls that lie on the axis, up to ``near``, m; collective."""
+    ranks, r = Communicator.of(walls.mesh), coordinates(walls.mesh)[:, 0]
     for name in walls.conditions:
         on = [
             bool((r[[v.nr for v in element.vertices]] <= near).all())
@@ -62,5 +62,4 @@ def axis_of(walls: Walls, near: float) -> list[str]:
             if not ranks.all(all(on)):
                 message = f"a part of the wall {name!r} lies on the axis; give the axis a name of its own"
                 raise MeshError(message)
-            names.append(name)
-    return names
+            yield name
