@@ -424,7 +424,8 @@ class Bounds:
     def _violation(
         self, quantity: str, value: float, cell: int, place: np.ndarray, is_mean: bool = False
     ) -> tuple[Violation, float]:
-        """A violation on this rank, without wall and number of cells, and the size of its cell, m."""
+        """A violation on this rank, whose wall and number of cells are not known yet, and the size of its
+        cell, m."""
         point, number = tuple(float(c) for c in place), number_of(self.step.mesh, cell)
         violation = Violation(quantity, value, is_mean, number, point, wall=None, distance=np.inf, cells=0)
         return violation, float(self.step.context.h.vec[cell])

@@ -19,7 +19,7 @@ from ngvisco.physics.bodies import NO_INTERFACE
 _HALVINGS = 45
 """Number of bisections that determine the place of a plane to rounding."""
 _APART = 1e-6
-"""Equal values at the vertices of a simplex are spread by this spacing, relative to the range of the
+"""Spacing by which equal values at the vertices of a simplex are made different, relative to the range of the
 values."""
 
 

@@ -36,7 +36,7 @@ _CONVERGED = 1e-7
 """The iteration ends when a Newton increment, relative to J_i and psi_S/psi_SS, is below this number; the
 error is the increment's square."""
 _LEAST = 0.2
-"""The factor by which a step reduces J_i at most."""
+"""The least factor by which a step multiplies J_i."""
 
 _FLAT = 1e-3
 """The least J_i, to which other bodies may compress a body whose energy is finite at J = 0."""

@@ -43,8 +43,8 @@ def mesh_of(cells: int) -> Any:
 
 
 def swirl(mesh: Any) -> tuple[Callable[[], tuple[int, int]], Callable[[], float]]:
-    """The swirl by the code on the path: a function that makes a step and returns the numbers of iterations
-    and directions, and one that returns the kinetic energy."""
+    """The swirl by the code on the path, as two functions. The first function makes a step and returns the
+    numbers of iterations and directions. The second function returns the kinetic energy."""
     import ngvisco as nv
     from ngvisco.solver.split.preconditioner import Preconditioner
     from tests.benchmarks.case import swirl_on

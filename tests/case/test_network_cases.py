@@ -181,7 +181,7 @@ def test_temperature_shifts_follow_their_formulas():
         assert float(branch.creep.factor({})) == pytest.approx(factor, rel=1e-12, abs=1e-100)
 
 
-def test_a_body_is_a_network_from_a_table(tmp_path):
+def test_a_body_may_be_a_prony_series_from_a_file(tmp_path):
     (tmp_path / "rows.csv").write_text("0.3, 0.1\n0.2, 1\n")
     material = PRONY[PRONY.index("[material]") :].replace("[material]", "[bodies.material]")
     rows = 'prony = [[0.3, 0.1], [0.2, "1000 ms"]]'

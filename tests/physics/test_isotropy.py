@@ -44,7 +44,7 @@ def test_anisotropic_energy_is_refused_with_a_rotation_that_shows_it():
     material = StrainEnergy(lambda E: square(E) + 0.01 * E[0, 0] * E[0, 0])
     report = nv.check_isotropy(material)
     assert not report.passed
-    # the change is real, evaluated without the sampler
+    # the energy changes also if it is evaluated without the sampler
     E, Q = report.point["E"], report.rotation
     assert pytest.approx(np.eye(3), abs=1e-14) == Q @ Q.T and np.linalg.det(Q) == pytest.approx(1)
 

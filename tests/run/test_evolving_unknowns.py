@@ -186,7 +186,7 @@ def test_an_old_value_in_ledger_entries_is_refused():
         simulation(Reading(), theta=None)
 
 
-def test_the_split_solver_refuses_an_evolving_unknown_in_cells_with_the_reason():
+def test_the_split_solver_says_why_it_refuses_rows_in_cells():
     term = Relaxation()
     term.place = "cells"
     with pytest.raises(

@@ -141,7 +141,7 @@ def test_a_floor_bears_the_weight(as_bodies):
     by_wall = dict(zip(forces.columns, forces.rows[-1], strict=True))
     assert by_wall["bottom.force_2"] + by_wall["top.force_2"] == pytest.approx(-weight, rel=1e-6)
     assert ledger.column("impulse_walls_2")[-1] == pytest.approx(weight * 1.0, rel=1e-6)
-    # walls with slip bear equal pressure and tension, to 2 % at most half of the weight at the floor
+    # of walls with slip, one bears pressure and one bears equal tension: half of the weight each
     assert by_wall["bottom.force_2"] == pytest.approx(-weight / 2, rel=0.02)
 
 

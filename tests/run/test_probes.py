@@ -155,7 +155,7 @@ def test_a_resumed_table_is_that_of_the_uninterrupted_run(tmp_path):
 
     small(observed(tmp_path / "whole")).run(0.04)
     small(observed(tmp_path / "parts")).run(0.03)
-    assert (tmp_path / "parts" / "p.csv").read_text().count("\n") == 4  # 0, 2, and 3 where it stopped
+    assert (tmp_path / "parts" / "p.csv").read_text().count("\n") == 4  # steps 0, 2 and 3, the last
     again = small(observed(tmp_path / "parts"))
     again.restore(tmp_path / "parts" / "run.h5")
     again.run(0.04)

@@ -49,7 +49,7 @@ def test_the_ledger_closes_and_energy_is_not_created(material: nv.Material, dim:
     assert np.abs(ledger.column("closure_relative")).max() < 1e-13
     assert (ledger.column("bregman")[1:] > 0).all()
     assert (ledger.column("dissipation_creep")[1:] > 0).all()
-    stored = Integrate(run.rothe_step.energy.projected, run.mesh)  # keeps cellwise means
+    stored = Integrate(run.rothe_step.energy.projected, run.mesh)  # the projection keeps cellwise means
     assert ledger.column("stored")[-1] == pytest.approx(stored, rel=1e-13)
     u, sampler = run.rothe_step.now, run.sampler
     pointwise = run.rothe_step.energy.samples(u.z_tensors, sampler)

@@ -203,7 +203,7 @@ _CONVERGED = 1e-8
 _ROUNDING = 1e-12
 """Relative size below which a residual that no step reduces is rounding."""
 _SHARE = 0.1
-"""The factor by which a step reduces a positive variable at most, and its least start value."""
+"""The least factor by which a step multiplies a positive variable, and the variable's least start value."""
 
 
 class _Approximation:

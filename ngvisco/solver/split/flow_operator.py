@@ -192,8 +192,8 @@ class FlowSchurComplement:
         return creep if matrix is None else (matrix + creep).tocsr()
 
     def __call__(self, flow: np.ndarray) -> np.ndarray:
-        """Rows of the flow's unknowns and of a from an increment ``d`` of these; each rank has the share of
-        its cells."""
+        """Rows of the flow's unknowns and of the normal derivatives a from an increment ``flow`` of both;
+        each rank has the share of its cells."""
         dv, result = flow[: self.nv].reshape(self.dim, -1), np.zeros(len(flow))
         if self.rest is not None:
             result[: self.size] = self.rest @ flow[: self.size]

@@ -83,8 +83,8 @@ def final_stress(kind: str, rate: Rate, factor: float) -> float:
     def derivative(_: float, values: np.ndarray) -> np.ndarray:
         A, k = values[:9].reshape(3, 3), values[9]
         M = mandel(kind, A)
-        # M of the linearised model includes the energy per actual volume; at finite strain, J = 1, it does
-        # not
+        # M of the linearised model includes the energy per actual volume; M at finite strain, with J = 1,
+        # does not
         p = -G * float((deviator(A) ** 2).sum()) if kind == "linearised" else 0.0
         m = float(np.linalg.norm(M))
         size = factor * rate(m, k, p)
