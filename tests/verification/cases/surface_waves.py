@@ -1,4 +1,5 @@
-"""Waves along a surface: Rayleigh's, Love's in a soft layer, and Scholte's between a solid and a fluid.
+"""Waves along a surface: Rayleigh's, Love's in a soft layer, Scholte's between a solid and a fluid, and
+Stoneley's between two solids.
 
 A standing wave u = U(depth) cos(k x) sin(omega t) starts with the velocities of its mode and without strain.
 The frequencies omega = k c are roots of the secular equations of a half-space.  A wave length is 1 m, and the
@@ -195,3 +196,54 @@ def _solid_under_fluid(
         initial=nv.Initial(velocity=SMALL * mode),
     )
     return run, mode
+
+
+HEAVY = 6.0
+"""Shear modulus, Pa, and density, kg/m^3, of the upper of two solids, whose shear waves are equally fast."""
+
+
+def _interface(c: float) -> np.ndarray:
+    """Velocity along and across the interface and stress (xy, yy) there, a column for each potential: the
+    pressure's and the shear's below the interface, and minus those above it; over k, k c and mu of below."""
+    columns = []
+    for above, mu in ((1, 1.0), (-1, HEAVY)):
+        p, s = above * math.sqrt(1 - c * c / 3), above * math.sqrt(1 - c * c)
+        stresses = (-2 * mu * p, mu * (p * p - 1) + 2 * mu * p * p), (mu * (s * s + 1), -2 * mu * s)
+        columns += [np.array((-1.0, p, *stresses[0])) * above, np.array((s, -1.0, *stresses[1])) * above]
+    return np.array(columns).T
+
+
+@CASES(f"""stoneley-wave
+    A wave along the interface of two solids that stick together has Stoneley's speed.
+    label: Stoneley 1924
+    setting: Solids with lambda = mu, of mu = rho = 1 below and mu = rho = {HEAVY:g} above, two wave lengths
+      each, periodic along x and clamped at both ends; moduli are carried with the matter; 6 x 24 squares with
+      a diagonal, k = 2, m = 1, midpoint, 32 steps a period; the step's own factor is undone.
+    - Stoneley's speed over that of shear waves in [0.9615, 0.9617]: the root of the secular determinant
+    - frequency over Stoneley's in [0.99, 1.01]: six quadratic cells in a wave; shear waves have 1.04
+    - closure
+    """)
+def _stoneley() -> Measured:
+    c, deep = brentq(lambda c: float(np.linalg.det(_interface(c))), 0.9, 0.9999), 2.0
+    shares = np.linalg.svd(_interface(c))[2][-1]
+    parts = []
+    for above, (of_p, of_s) in ((1, shares[:2]), (-1, shares[2:])):
+        p, s = above * math.sqrt(1 - c * c / 3), above * math.sqrt(1 - c * c)
+        waves = of_p * exp(p * K * (y - deep)), of_s * exp(s * K * (y - deep))
+        along, across = -waves[0] + s * waves[1], p * waves[0] - waves[1]
+        parts.append(CF((along * sin(K * x), across * cos(K * x))))
+    mode, mu = IfPos(deep - y, *parts), IfPos(deep - y, 1.0, HEAVY)
+    run = nv.Simulation(
+        structured_box((1.0, 2 * deep), (6, 24), periodic="x"),
+        nv.Model(material=nv.LinearElastic(K_e=BULK * mu, G_e=mu)),
+        dt=1 / (c * STEPS),
+        scheme="midpoint",
+        walls={("top", "bottom"): nv.NoSlip()},
+        initial=nv.Initial(density=mu, velocity=SMALL * mode),
+        solver="split",
+    )
+    s, times, values = _swing(run, mode)
+    yield "Stoneley's speed over that of shear waves", c
+    yield "frequency over Stoneley's", s.imag / (K * c)
+    yield Table("Stoneley's wave", HEAD, [[6, 2, s.imag, K * c, s.imag / (K * c), -s.real]])
+    yield Plot("Stoneley's wave", "t, s", "amplitude", _curves(times, values / values[0], K * c))

@@ -1,16 +1,17 @@
-"""Waves: dispersion, a bar on springs, the modes of a ball, and a pulse that the mesh follows."""
+"""Waves: dispersion, a bar on springs, modes of a ball, an atmosphere, and a pulse that the mesh follows."""
 
 import math
 from functools import partial
 from typing import Literal
 
 import numpy as np
-from ngsolve import CF, CoefficientFunction, InnerProduct, Integrate, cos, exp, x, y, z
+from ngsolve import CF, CoefficientFunction, InnerProduct, Integrate, cos, exp, log, sin, x, y, z
 from scipy.optimize import brentq, curve_fit
 from scipy.special import spherical_jn
 
 import ngvisco as nv
 from ngvisco.geometries import box, sphere, structured_box
+from ngvisco.physics.variables import ReciprocalJacobian
 from tests.verification.case import Cases, Curve, Measured, Plot, Table
 from tests.verification.setups import KINDS, distance, drift, elastic, followed, swing_by_midpoint
 
@@ -314,6 +315,54 @@ def _toroidal() -> Measured:
     yield Table("frequencies", "l | tetrahedra | omega, 1/s | exact | error | decay, 1/s", rows)
     yield Plot("Toroidal modes, finer mesh", "t, periods of each", "amplitude of v", curves)
     yield "In the picture the values fall behind by the midpoint rule's own error, (omega tau)²/12 = 1.3 %."
+
+
+# --- sound in an atmosphere --------------------------------------------------------------------------------
+"""In an isothermal gas, p = c^2 rho, at rest under gravity, the density falls by exp(-y/H), H = c^2/g.  A
+standing wave v_y = exp(y/2H) sin(k y) between rigid walls has omega^2 = c^2 (k^2 + 1/(4 H^2)) (Lamb 1909): no
+wave is slower than c/(2 H)."""
+
+TALL = 2.0
+"""Height of the column, m; c = 1 m/s and g = 1 m/s^2, so that H = 1 m."""
+
+
+@CASES(f"""acoustic-cut-off
+    Sound along the vertical in an isothermal atmosphere has the frequency of Lamb's relation, above his
+      cut-off; the atmosphere starts at rest, with a pressure that is given at the ground.
+    label: none, Lamb 1909
+    setting: A gas of p = rho, rho = exp(-y), {TALL:g} m high, 1 m/s^2, in a strip of 0.25 m that is periodic
+      along x; a standing wave of half a wave length; 12 rows of cells, k = 3, m = 2, midpoint, steps of 0.1
+      s, until 4 s; the step's own factor is undone.
+    - frequency over Lamb's in [0.995, 1.005]: 24 cubic cells in a wave
+    - a control: error of the frequency of a gas without weight >= 0.04: the cut-off counts
+    - density at the top over exp(-{TALL:g}), off by <= 1e-3: quadratic cells
+    - closure
+    """)
+def _cut_off() -> Measured:
+    k = math.pi / TALL
+    shape = exp(y / 2) * sin(k * y)
+    gas = nv.CustomMaterial(
+        transported=(ReciprocalJacobian(),), stored_energy=lambda A: 1 - A + A * log(A), rho_R=1.0
+    )
+    run = nv.Simulation(
+        structured_box((0.25, TALL), (1, 12), periodic="x"),
+        nv.Model(material=gas, loads=(nv.Gravity((0.0, -1.0)),)),
+        dt=0.1,
+        scheme="midpoint",
+        initial=nv.Initial(equilibrium="hydrostatic", datum="bottom", velocity=(0.0, 1e-4 * shape)),
+        discretisation=nv.Discretisation(k=3, m=2),
+    )
+    rho, v = run.fields["density"], run.fields["velocity"]
+    yield (
+        f"density at the top over exp(-{TALL:g}), off by",
+        abs(rho(run.mesh(0.1, TALL)) * math.exp(TALL) - 1),
+    )
+    times, values = followed(run, 40, lambda run: Integrate(rho * v[1] * shape, run.mesh, order=10))
+    omega, exact = swing_by_midpoint(values, run.dt).imag, math.sqrt(k * k + 0.25)
+    yield "frequency over Lamb's", omega / exact
+    yield "a control: error of the frequency of a gas without weight", abs(omega / k - 1)
+    curves = [Curve("computed", times, values / values[0], "."), Curve("exact", times, np.cos(exact * times))]
+    yield Plot("sound in an atmosphere", "t, s", "amplitude", curves)
 
 
 # --- a pulse on meshes that follow it ------------------------------------------------------------------
