@@ -31,9 +31,9 @@ TRACE = 1e-3
 """An absent body counts with this share of the amount of all matter, at rest."""
 
 BACKING_TRACE = 0.1
-"""The share of all matter, N, that is added to the amount n_i of a body that hardens or breaks: K_i and n_i
-are independent polynomials, and their quotient K_i/n_i is no polynomial; and the energy of cracks, which is
-convex in the damage, must not have a weight below zero."""
+"""The share of all matter, N, that is added to the amount n_i of a body that hardens or breaks. The sum is
+the divisor of K_i, an independent polynomial that need not vanish with n_i. The sum is also the weight of the
+energy of cracks, which must be positive because this energy is convex in the damage."""
 
 _HALF = 1 / 5
 """The volume fraction theta_i at which chi_i is 1/2."""

@@ -137,8 +137,8 @@ class InEquilibrium:
         y: np.ndarray,
         hessian: np.ndarray,
     ) -> None:
-        """In the shears' response, replace the slopes by variables that do not lag by the slopes at the
-        states ``seen``, and add the volumes' slopes by damages.
+        """Change the shears' response ``result``: slopes by variables that do not lag become those at the
+        states ``seen``, and the volumes' slopes by damages are added.
 
         ``changed`` are the points at which both states differ, y the volumes of the states ``seen``, and
         ``hessian`` the second derivative of V there.

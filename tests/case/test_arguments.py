@@ -1,4 +1,4 @@
-"""Every argument that only Python has an effect: another value changes the results, or is refused.
+"""Arguments without a key in case files have an effect: another value changes the results, or is refused.
 
 Keys of case files are swept by ``tests/case/test_effects.py``; here are the public classes and arguments
 that are no keys.  Each argument has two values. The test compares the state and the ledger's row after a
