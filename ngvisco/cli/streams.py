@@ -36,25 +36,21 @@ def be_silent() -> None:
     _silent = True
 
 
-def write(text: str) -> None:
-    """Write a text to standard output and flush; if this fails, drop the text."""
+def write(text: str, stream: Any = None) -> None:
+    """Write a text to a stream, by default standard output, and flush; if this fails, drop the text."""
     if _silent:
         return
+    stream = stream or sys.stdout
     try:
-        sys.stdout.write(text)
-        sys.stdout.flush()
+        stream.write(text)
+        stream.flush()
     except (OSError, ValueError):
-        give_up(sys.stdout)
+        give_up(stream)
 
 
 def complain(message: str) -> None:
     """Print a message to standard error, with the command's name before each line."""
-    if _silent:
-        return
-    try:
-        print("\n".join(f"ngvisco: {line}" for line in message.splitlines()), file=sys.stderr, flush=True)
-    except (OSError, ValueError):
-        give_up(sys.stderr)
+    write("".join(f"ngvisco: {line}\n" for line in message.splitlines()), sys.stderr)
 
 
 def give_up(stream: Any) -> None:

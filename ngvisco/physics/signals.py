@@ -89,8 +89,8 @@ def table(
     Parameters
     ----------
     source : path or sequence of float
-        A CSV file of numbers, with at most one line of names before them and the time (s) in the first
-        column; or the times, s.
+        A CSV file of numbers, with at most one line of names before them, comments after #, and the time (s)
+        in the first column; or the times, s.
     values : sequence of float, or of rows of float
         With times as ``source``: one value for each time, or a row of values.
 

@@ -167,11 +167,10 @@ class Quadrature:
         """Integral over the mesh, by the rule of ``collocated``."""
         return Integrate(self._in_cells(integrand), self.mesh, order=2 * self.collocation_order)
 
-    def integrate_facets(self, integrand: CoefficientFunction, cells: BitArray | None = None) -> float:
-        """Integral over the boundaries of all cells, or of ``cells``, by the rule of ``facets``."""
+    def integrate_facets(self, integrand: CoefficientFunction) -> float:
+        """Integral over the boundaries of all cells, by the rule of ``facets``."""
         order = self.facet_degree - _FACET_BASE_ORDER
-        over = dx(element_boundary=True, bonus_intorder=order, definedonelements=cells)
-        total = self._on_facets(integrand) * over
+        total = self._on_facets(integrand) * dx(element_boundary=True, bonus_intorder=order)
         # NGSolve does not sum this kind of integral over the ranks
         return float(self.mesh.comm.Sum(Integrate(total, self.mesh)))
 
