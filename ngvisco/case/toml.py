@@ -72,6 +72,8 @@ def parse_override(setting: str) -> tuple[tuple[str, ...], Any]:
     try:
         return path, tomllib.loads(f"value = {value.strip()}")["value"]
     except (tomllib.TOMLDecodeError, RecursionError):
+        if re.fullmatch(r"[+-]?(\d+\.|\.\d+)(e[+-]?\d+)?", value.strip(), re.ASCII | re.IGNORECASE):
+            return path, float(value)  # TOML wants digits on both sides of a point
         return path, value.strip()
 
 

@@ -328,7 +328,3 @@ def _notices() -> Callable[..., None]:
 def _say(message: str, code: int) -> int:
     streams.complain(message)
     return code
-
-
-if __name__ == "__main__":
-    sys.exit(main())

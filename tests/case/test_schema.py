@@ -357,5 +357,21 @@ def test_any_setting_is_understood_or_refused(text):
     assert path and all(path)
 
 
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        (".5", 0.5),
+        ("-.5e3", -500.0),
+        ("5.", 5.0),
+        ("5.0", 5.0),
+        (".5.2", ".5.2"),
+        (".5 m", ".5 m"),
+        (".", "."),
+    ],
+)
+def test_a_number_of_a_setting_needs_no_digit_on_both_sides_of_its_point(text, value):
+    assert parse_override(f"domain.maxh={text}") == (("domain", "maxh"), value)
+
+
 def test_an_index_may_stand_in_brackets_or_behind_a_dot():
     assert parse_override("loads[0].g=[0, -1]") == parse_override("loads.0.g=[0, -1]")

@@ -13,7 +13,7 @@ from support import A_BODY, A_SWIRL
 from ngvisco.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[2]
-COMMAND = [sys.executable, "-m", "ngvisco.cli.main"]
+COMMAND = [sys.executable, "-m", "ngvisco"]
 
 CASE = f"""\
 title = "a small swirl"

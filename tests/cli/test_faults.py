@@ -216,7 +216,7 @@ def test_a_run_file_that_lacks_parts_is_refused(half):
     [pytest.param(to, marks=REST) for to in ("{} | head -n 1", "{} >&-", "{} > /dev/full", "{} >&- 2>&-")],
 )
 def test_a_closed_output_pipe_does_not_end_a_run(shell, tmp_path, case_file):
-    run = f"{sys.executable} -m ngvisco.cli.main run {case_file} -o {tmp_path / 'out'}"
+    run = f"{sys.executable} -m ngvisco run {case_file} -o {tmp_path / 'out'}"
     code = f"set -o pipefail; {shell.format(run)}; code=${{PIPESTATUS[0]}}; exit $code"
     result = subprocess.run(["bash", "-c", code], env=environment(), capture_output=True, text=True)
     assert result.returncode == DONE, result.stderr
@@ -244,6 +244,18 @@ def test_texts_are_utf_8_whatever_the_locale(tmp_path, case_file):
     assert result.returncode == DONE, result.stderr
     for name in ("case.toml", "log.txt", "scene.html"):
         assert title in (out / name).read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("package", ["ngsolve", "scipy"])
+def test_an_interrupt_during_the_imports_leaves_no_traceback(tmp_path, package):
+    """Other programs have Python's traceback."""
+    (tmp_path / f"{package}.py").write_text("raise KeyboardInterrupt")
+    there = environment() | {"PYTHONPATH": str(tmp_path)}
+    run = {"env": there, "capture_output": True, "text": True}
+    by_command = subprocess.run([sys.executable, "-m", "ngvisco", "list"], **run)
+    assert by_command.stderr == "ngvisco: the command was interrupted before it began\n"
+    assert by_command.returncode == -signal.SIGINT
+    assert "Traceback" in subprocess.run([sys.executable, "-c", "import ngvisco"], **run).stderr
 
 
 def test_a_signal_ends_the_run_and_says_how_to_resume(tmp_path, case_file):

@@ -228,9 +228,9 @@ def _stoneley() -> Measured:
     shares = np.linalg.svd(_interface(c))[2][-1]
     parts = []
     for above, (of_p, of_s) in ((1, shares[:2]), (-1, shares[2:])):
-        p, s = above * math.sqrt(1 - c * c / 3), above * math.sqrt(1 - c * c)
-        waves = of_p * exp(p * K * (y - deep)), of_s * exp(s * K * (y - deep))
-        along, across = -waves[0] + s * waves[1], p * waves[0] - waves[1]
+        fast, slow = above * math.sqrt(1 - c * c / 3), above * math.sqrt(1 - c * c)
+        waves = of_p * exp(fast * K * (y - deep)), of_s * exp(slow * K * (y - deep))
+        along, across = -waves[0] + slow * waves[1], fast * waves[0] - waves[1]
         parts.append(CF((along * sin(K * x), across * cos(K * x))))
     mode, mu = IfPos(deep - y, *parts), IfPos(deep - y, 1.0, HEAVY)
     run = nv.Simulation(
