@@ -242,8 +242,10 @@ def _stoneley() -> Measured:
         initial=nv.Initial(density=mu, velocity=SMALL * mode),
         solver="split",
     )
-    s, times, values = _swing(run, mode)
+    exponent, times, values = _swing(run, mode)
     yield "Stoneley's speed over that of shear waves", c
-    yield "frequency over Stoneley's", s.imag / (K * c)
-    yield Table("Stoneley's wave", HEAD, [[6, 2, s.imag, K * c, s.imag / (K * c), -s.real]])
+    yield "frequency over Stoneley's", exponent.imag / (K * c)
+    yield Table(
+        "Stoneley's wave", HEAD, [[6, 2, exponent.imag, K * c, exponent.imag / (K * c), -exponent.real]]
+    )
     yield Plot("Stoneley's wave", "t, s", "amplitude", _curves(times, values / values[0], K * c))
