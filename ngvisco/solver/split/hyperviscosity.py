@@ -166,7 +166,7 @@ class _Interpolated:
     """
 
     def __init__(self, blocks: np.ndarray) -> None:
-        self._blocks = None if blocks.shape[2] == 1 and (blocks == 1.0).all() else precision.single(blocks)
+        self._blocks = None if blocks.shape[2] == 1 and np.allclose(blocks, 1.0) else precision.single(blocks)
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """Coefficients (cells, n, functions) to values (cells, n, points), or (cells, n, 1) if constant."""
@@ -184,8 +184,9 @@ class HyperTangent:
         """``kept`` are the unknowns of one component of a that are not eliminated."""
         self.derivative, self.kept = derivative, kept
         values, h = derivative.of_component, derivative.hyper
-        self.eliminated = np.setdiff1d(np.arange(values.width - h.velocities), kept)
-        order = np.concatenate([np.arange(h.velocities), h.velocities + kept, h.velocities + self.eliminated])
+        others = np.setdiff1d(np.arange(values.width - h.velocities), kept)
+        self.eliminated = others if len(kept) else slice(None)
+        order = np.concatenate([np.arange(h.velocities), h.velocities + kept, h.velocities + others])
         number = np.empty_like(order)
         number[order] = np.arange(len(order))
         self._assembled = ElementAssembly(number[values.unknowns], values.width)
@@ -195,7 +196,7 @@ class HyperTangent:
 
     def _in_parts(self, matrix: sp.csr_matrix) -> tuple[sp.csr_matrix, sp.csr_matrix, sp.csr_matrix]:
         """The block of (v, kept a), its coupling to the eliminated a, and the block of the eliminated a."""
-        n = self._assembled.width - len(self.eliminated)
+        n = self.derivative.hyper.velocities + len(self.kept)
         return matrix[:n, :n], matrix[:n, n:], matrix[n:, n:]
 
     def _add_hessians(self, elements: np.ndarray, cell: np.ndarray) -> None:

@@ -314,14 +314,14 @@ class Preconditioner:
         tangent, dim, (rows, a) = self.hyper_tangent, self.dim, np.split(y, [len(self.free)])
         if tangent is None:
             return self.solver(rows)
-        a, size = a.reshape(dim, -1), self.operator.nv
+        a, size, result = a.reshape(dim, -1), self.operator.nv, np.empty_like(y)
         kept, eliminated = a[:, tangent.kept], a[:, tangent.eliminated]
         rows = np.append(rows, kept)
         of_others = tangent.E_t(eliminated)[:, : size // dim]
         rows[:size] += self._of_velocity.sum(of_others).ravel()
         flow, increment = np.split(self.solver(rows), [len(self.free)])
-        kept, da = increment.reshape(kept.shape), np.empty_like(a)
-        da[:, tangent.kept] = kept
+        kept, da = increment.reshape(kept.shape), result[len(flow) :].reshape(a.shape)
+        result[: len(flow)], da[:, tangent.kept] = flow, kept
         beside = np.concatenate([flow[:size].reshape(dim, size // dim), kept], axis=1)
         da[:, tangent.eliminated] = tangent.of_velocity(beside) + tangent.of_rows(eliminated)
-        return np.concatenate([flow, da.ravel()])
+        return result

@@ -252,7 +252,8 @@ class Split:
         if expected > 0:
             tolerance = min(tolerance, error / expected)
         is_dear = self.step.mesh.dim == 3 or len(self.step.model.bodies) > 1
-        self._left = max(tolerance, _FORCING[is_dear])
+        is_first = expected == np.inf and not self.is_fresh  # an old tangent leaves a tenth of it
+        self._left = max(tolerance, _FORCING[is_dear and not is_first])
         return self.preconditioner(at, self._left)
 
     def renew(self, problem: Problem, at: Evaluation) -> None:
