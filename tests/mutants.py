@@ -996,7 +996,7 @@ MUTANTS = [
             "determinants raised although moduli vary",
             "if rises > 0 and self._is_uniform else 0.0",
             "if rises > 0 else 0.0",
-            SHARP + "test_determinants_are_only_lowered_where_moduli_vary",
+            SHARP + "test_with_varying_moduli_determinants_are_lowered_but_never_raised",
         ),
         (
             "power of the volume in restored determinants",

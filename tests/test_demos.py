@@ -201,7 +201,8 @@ def test_soft_disc_keeps_its_mass_and_is_carried_by_the_flow(tmp_path):
     assert rows["disc_mass"] == pytest.approx(rows["disc_mass"][0], rel=1e-12)
     assert rows["disc_mass"][0] == pytest.approx(0.04 * np.pi, rel=1e-3)
     assert rows["disc_volume"] == pytest.approx(0.04 * np.pi, rel=0.01)  # K_e = 20 Pa
-    assert rows["disc_x"][-1] < rows["disc_x"][0]  # below the vortex, against the lid
+    # the disc lies below the vortex and moves against the lid's direction
+    assert rows["disc_x"][-1] < rows["disc_x"][0]
     written(tmp_path, "disc.png", "energies.png", "fields.png", "run.h5")
 
 

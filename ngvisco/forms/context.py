@@ -136,7 +136,8 @@ class Context:
     def set_loads(self, begin: float, over: float, tilt: float = 0.0) -> None:
         """Average loads over ``over`` (s, 0 for a value at one time) from ``begin`` (s) on.
 
-        ``tilt`` is the tilt of the average's weight.
+        The average has the weight 1 + 12 ``tilt`` (s - 1/2), with s from 0 to 1 over the interval
+        (``Rule.tilted``).
         """
         for parameter, value in zip(self._window, (begin, over, tilt), strict=True):
             parameter.Set(value)

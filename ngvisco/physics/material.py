@@ -174,8 +174,8 @@ class Material(Checked, ABC):
 
     @property
     def distortions(self) -> dict[str, tuple[str, ...]]:
-        """Names of the tensors of each elastic distortion, which have one creep rate, by the branch's name,
-        "" without branches."""
+        """Names of the tensors of each elastic distortion, by the name of its branch. All tensors of one
+        distortion have the same creep rate. The key is "" for a material without branches."""
         return {"": tuple(v.name for v in self.variables if v.creeps)}
 
     @property

@@ -33,8 +33,8 @@ class PointOperators:
     ) -> None:
         """``pieces`` is the number of equal parts of a cell's points, see ``LocalMatrix``.
 
-        ``other`` are operators at another rule's points, in the same pieces of a cell.  The nodes of
-        ``other`` are used here too if all values follow from them.
+        ``other`` are operators at the points of another rule, with the same ``pieces``.  If all values at the
+        points of this rule follow from values at the nodes of ``other``, both share these nodes.
         """
         self.layout, self.pieces, self._h, self._other = step.layout, pieces, step.context.h, other
         self.points: Any = points
@@ -167,7 +167,10 @@ class FacetMass:
         """The basis functions of each side's facet."""
 
     def summed_blocks(self, matrix: sp.csr_matrix) -> sp.csr_matrix:
-        """The sum over ranks of a matrix of facets' blocks; each rank has the share of its cells."""
+        """The sum over ranks of ``matrix``, which has a block for each facet.
+
+        On each rank, ``matrix`` is the sum over that rank's cells.
+        """
         shared = self.unknowns[self.of_facets.places]
         if not len(shared):
             return matrix

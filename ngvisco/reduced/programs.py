@@ -20,8 +20,9 @@ class Programs:
     """Programs by the names of their functions; a function that cannot be recorded is evaluated each time."""
 
     def __init__(self, keeps: bool = True) -> None:
-        """If a program ``keeps`` the data of a step, it reads them once in a step, else at each evaluation,
-        since at the points of a large mesh the data would take much memory."""
+        """If ``keeps`` is True, a program reads the data of a step once and keeps them until the next step.
+        Otherwise it reads them at each evaluation, since the data at the points of a large mesh would take
+        much memory."""
         self._keeps = keeps
         self._programs: dict[Hashable, Program] = {}
         self._others: set[Hashable] = set()
@@ -35,9 +36,10 @@ class Programs:
         """Whether programs evaluate functions now; and names of the programs of earlier steps."""
 
     def start(self, runs: bool, *numbers: float) -> None:
-        """Begin a step.  If it ``runs``, programs evaluate the functions until the next call.
+        """Begin a step.  If ``runs`` is True, programs evaluate the functions until the next call.
 
-        A program serves steps of equal ``numbers``, which it does not read as data.
+        ``numbers``, such as the step's length, are constants of the recorded programs: if one of them
+        changes, all programs are recorded anew.
         """
         self._runs = runs
         if not runs:

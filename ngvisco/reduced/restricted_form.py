@@ -46,7 +46,10 @@ class RestrictedForm:
         self.at.vec.FV().NumPy()[:] = np.concatenate([state[ranges[name]] for name in self.names])
 
     def residual(self) -> np.ndarray:
-        """The rows at the present state, block after block; each rank has the share of its cells."""
+        """The rows at the present state, block after block.
+
+        On each rank the rows are sums over that rank's cells.
+        """
         self._load()
         self.form.Apply(self.at.vec, self._rows)
         return self._rows.FV().NumPy().copy()

@@ -273,7 +273,8 @@ class Ledger:
         return [name for name in names if name not in columns and name.startswith(prefixes)]
 
     def keep(self, names: Iterable[str]) -> None:
-        """Add entries of value 0 for the columns ``names`` of an earlier part that this part lacks."""
+        """Add an entry of value 0 for each column in ``names`` that an earlier part of the run had and this
+        part does not have."""
         self.momentum.keep(names := list(names))
         for name in self._foreign_energies(names):
             kind: Kind = "numerical" if name == TRANSFER else "dissipation"

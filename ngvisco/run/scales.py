@@ -144,7 +144,7 @@ def extreme_places(step: Step, sampler: Sampler) -> list[ExtremePlace]:
         own = material.own_names(body.name)
         names += [own.get(v.name, v.name) for v in body.material.variables if isinstance(v, Parameter)]
         among = np.flatnonzero(most == number)
-        if not len(among):  # a body smaller than a cell has the largest amount in no cell
+        if not len(among):  # the body is smaller than a cell, so that another body is larger in every cell
             among = amounts[:, [number]].argmax(axis=0)
         alone = np.zeros(states.shape[1])
         for variable in material.densities(body.name):

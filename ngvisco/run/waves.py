@@ -50,8 +50,10 @@ def stress_of(material: Material, state: np.ndarray, dim: int) -> np.ndarray:
 
 
 def acoustic_tensor(material: Material, state: np.ndarray, dim: int, j: int) -> np.ndarray:
-    """The tensor Q, Pa, of a state's components, (n,), and the direction n = e_j:
-    Q a = (dT/dz : rate(a x n; z)) n, with any variables."""
+    """Acoustic tensor Q, Pa, of plane waves along e_j about a state: Q a = (dT/dz : rate(a x e_j; z)) e_j.
+
+    ``state`` has the components of the material's variables, (n,).
+    """
     states, zero, Q = material.states(dim), constant(np.zeros((3, 3))), np.empty((dim, dim))
     for i in range(dim):
         unit = np.zeros((3, 3))

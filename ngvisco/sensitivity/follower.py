@@ -52,9 +52,10 @@ class Follower:
         self.at(state)
 
     def finish(self, recorded: RecordedStep, states: Sequence[Evolved]) -> None:
-        """Set the step's start that the run had when it evaluated columns at the end of a step.
+        """Set the step's start for the evaluation of columns at the end of a step.
 
-        ``states`` are y_0, y_1, ...; at a combined end, which no stage solves, start and end are equal.
+        A combined end is no stage's solution: there the start is the weighted sum of ``states``, y_0, y_1,
+        ..., which equals the end. At other ends the start of the last stage stays.
         """
         if recorded.is_combined:
             self.step.start_from(list(zip(recorded.weights, states, strict=True)))

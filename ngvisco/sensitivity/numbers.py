@@ -1,4 +1,4 @@
-"""Numbers of a run: columns at a time, their integrals, and sums of squares against data."""
+"""Numbers of a run: values of columns at given times, integrals of columns, and misfits against data."""
 
 from __future__ import annotations
 
@@ -118,7 +118,11 @@ class Misfit:
 
 @dataclass(frozen=True)
 class Numbers:
-    """Numbers by name; each is one part (a column at a time, or its integral) or a misfit of several."""
+    """Numbers by name.
+
+    A number is one part (the value of a column at one time, or the column's integral), or a misfit of several
+    parts.
+    """
 
     wanted: tuple[Wanted, ...]
     """The columns at times, or integrals, of which the numbers are made."""

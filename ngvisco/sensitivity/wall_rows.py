@@ -58,8 +58,10 @@ class WallRows:
         return self.follower.step.residual_at(np.logical_or.reduce(parts)[rows], condense=False)
 
     def weights(self, of_columns: np.ndarray, v: np.ndarray | None, at_end: bool = False) -> np.ndarray:
-        """Weights c of the rows in the numbers, at a stage or ``at_end``, a combined end. For the power of a
-        moving wall the weights are the velocities ``v`` of a state; without ``v`` these weights are zero.
+        """Weights c of the residual's rows in each number, at a stage, or with ``at_end`` at a combined end.
+
+        For the power of a moving wall the weights are the velocities ``v`` of a state; without ``v`` these
+        weights are zero.
         """
         result = np.zeros((len(of_columns), self.follower.step.layout.space.ndof))
         for name, c in (self.forces | self.ends if at_end else self.forces).items():

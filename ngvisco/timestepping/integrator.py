@@ -291,9 +291,10 @@ class Integrator:
         return -self.rothe.exchange.communicator.dot(change, stage.values["v"])
 
     def _impulse_before_limiting(self, otherwise: np.ndarray) -> np.ndarray:
-        """Walls' impulse by the density before limiting; ``otherwise`` if this density gives no velocity.
+        """Impulse of the walls that follows from the density before limiting.
 
-        At the end of a stage there is no such impulse, because the stage satisfies the rows of the step.
+        The result is ``otherwise`` if no velocity follows from this density.  The method is called only at
+        combined ends: at the end of a stage, the rows of the step hold already.
         """
         kept = self._velocity.v.copy()
         try:

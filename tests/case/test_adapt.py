@@ -68,7 +68,7 @@ def test_check_says_that_the_sizes_are_those_of_the_start(tmp_path, capsys):
     assert f"every 0.2 s, by velocity; the mesh has from {coarse} to about {4 * coarse} cells" in said
 
 
-def test_another_run_takes_over_its_last_state(tmp_path):
+def test_a_second_run_starts_from_the_last_state_on_an_adapted_mesh(tmp_path):
     nv.case.run(case(tmp_path, "time.until=0.3"), tmp_path / "first")
     later = nv.case.run(case(tmp_path, "time.until=0.6"), tmp_path / "later", source=tmp_path / "first")
     assert later.t == pytest.approx(0.6) and later.number == 6

@@ -95,7 +95,8 @@ def carried(mean="arithmetic", **options):
 
 
 class Drag(PointTerm):
-    """The force -2 v per volume, with the entry that is given, or its power by default."""
+    """The force -2 v per volume. Its ledger entry is the dissipated power 2 |v|^2; keyword arguments replace
+    parts of the entry."""
 
     def __init__(self, **entry):
         self.entry = {"name": "drag", "kind": "dissipation"} | entry

@@ -309,7 +309,7 @@ def test_walls_bear_the_torque_of_a_heated_block_that_they_clamp():
 
 
 @pytest.mark.parametrize("bodies", [0, 2])
-def test_walls_bear_a_momentum_defect_only_of_matter_that_fills_the_domain(bodies, monkeypatch):
+def test_walls_bear_the_momentum_defect_if_one_material_fills_the_domain(bodies, monkeypatch):
     """The defect is a hundredth of the impulse of the stress, and much larger than the momentum. Walls bear
     it if one material fills the domain. A body in a medium may drift against viscosity, so that its whole
     defect counts."""

@@ -219,7 +219,7 @@ def test_a_body_whose_outline_touches_itself_is_warned_of_once(slit):
 
 @pytest.mark.parametrize("slit", [0.1, 0.45])
 def test_a_body_whose_surface_touches_itself_in_space_is_warned_of(slit):
-    """Half of the cube is a block with a slit of half a cell or of 1.8 cells."""
+    """The part of the cube below z = 0.7 has a slit of 0.6 or of 2.7 cells."""
     mesh, elastic = structured_box((1, 1, 1), (6, 6, 6)), nv.ReferentialNeoHookean(K_e=10.0, G_e=2.0)
     in_slit = IfPos((slit / 2) ** 2 - (x - 0.5) ** 2, y - 0.4, -1.0)
     where = IfPos(in_slit, -1.0, 0.7 - z)

@@ -400,7 +400,7 @@ def test_the_energy_of_a_body_at_rest_is_below_its_rounding():
     assert 0 < noise < 1e-10
 
 
-def test_numbers_count_the_cells_across_a_body_and_the_strains_that_it_bears():
+def test_scales_give_cells_across_a_body_and_strains_until_it_loses_area():
     """The strains grow like the fourth power of the cells across: 8 cells bear 7.7 strains, 16 cells 16
     times as many."""
     values = {"length": 1.0, "cell": 0.1, "velocity": 0.0, "speeds": (0.0, 0.0), "kinematic_viscosity": 0.0}

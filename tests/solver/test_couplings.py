@@ -270,7 +270,7 @@ def test_a_form_reads_the_energy_of_the_present_state():
     solved(DragByEnergy(), material=nv.Yosida(material=NEO_HOOKEAN, eps=0.05), until=0.04)
 
 
-def test_a_hyperviscosity_that_arrays_do_not_have_is_refused_with_the_reason():
+def test_the_split_solver_refuses_a_hyperviscosity_that_arrays_cannot_evaluate():
     model = nv.Model(
         material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1), hyperviscosity=HyperByPlace(mu=1e-5)
     )

@@ -29,8 +29,8 @@ def of_solute(dim):
 
 
 def applied(run, changed=lambda tangent: None):
-    """Rows for an increment of z, by the blocks, and by the derivative of the residual that has only these
-    terms."""
+    """Rows of z for a random increment of z, computed in two ways: by the facet blocks, and by the derivative
+    of a residual that contains only the tangent's terms."""
     split = run.solver.newton
     residual, tangent = split.residual, split.preconditioner.sweep.exchange.tangent
     changed(tangent)

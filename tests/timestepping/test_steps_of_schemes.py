@@ -57,7 +57,7 @@ OF_CI = {
         "relaxation": True,
         "solver": "coupled",
     },
-    # whose derivative reads the old momentum
+    # the derivative of a heated step reads the old momentum
     "heat, coupled": HEATED | {"solver": "coupled"},
     "heat, split": HEATED | {"solver": "split"},
     "yield, split": YIELDING | {"solver": "split"},

@@ -20,7 +20,8 @@ class QuadraturePoints:
     """The quadrature points of a mesh, and functions with given values at these points."""
 
     def __init__(self, quadrature: Quadrature, on: CoefficientFunction | None = None) -> None:
-        """Take the points in the cells, or with ``on`` on the walls where ``on`` is not 0."""
+        """Take the points in the cells. If a function ``on`` is given, take the points on walls at which it
+        is not 0."""
         self.quadrature, self.mesh = quadrature, quadrature.mesh
         if on is None:
             self._space = IntegrationRuleSpace(self.mesh, order=quadrature.volume_degree // 2)

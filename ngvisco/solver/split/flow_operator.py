@@ -192,8 +192,8 @@ class FlowSchurComplement:
         return creep if matrix is None else (matrix + creep).tocsr()
 
     def __call__(self, flow: np.ndarray) -> np.ndarray:
-        """Rows of the flow's unknowns and of the normal derivatives a from an increment ``flow`` of both;
-        each rank has the share of its cells."""
+        """Rows of the flow's unknowns and of the normal derivatives a from an increment ``flow`` of both.
+        On each rank the rows are sums over that rank's cells."""
         dv, result = flow[: self.nv].reshape(self.dim, -1), np.zeros(len(flow))
         if self.rest is not None:
             result[: self.size] = self.rest @ flow[: self.size]
@@ -229,14 +229,14 @@ class FlowSchurComplement:
     def force(self, dz: np.ndarray) -> np.ndarray:
         """Rows of v, (dim, .), from an increment of z by the transport alone, (cells' unknowns, n).
 
-        Each rank has the share of its cells."""
+        On each rank the rows are sums over that rank's cells."""
         fields = dz.reshape(self.cells, self.from_fields.shape[2], 1)
         return self._scattered(np.matmul(self.from_fields, fields))
 
     def force_of(self, dz: np.ndarray) -> np.ndarray:
         """Rows of v, (dim, .), from an increment of z, (cells' unknowns, n), in double precision.
 
-        Each rank has the share of its cells."""
+        On each rank the rows are sums over that rank's cells."""
         op, p, d, plane = self.op, self.points, self.dim, self.dim**2
         assert p.force is not None
         values_of_z = op.z(np.ascontiguousarray(dz.T))
@@ -287,8 +287,8 @@ class FlowSchurComplement:
         without the neighbours' contribution, so that the tangent is a sum over the cells.  The tangent's
         unknowns are the flow's unknowns, followed by the normal derivatives that ``hyper`` keeps.  All other
         normal derivatives are a = E v: the mean of both sides' d_n v, weighted by the hyperviscosity's
-        coefficient.  Each rank has the share of its cells.  If v is the only unknown with rows, entries have
-        the precision ``dtype``.
+        coefficient.  On each rank the sum is over that rank's cells.  If v is the only unknown with rows,
+        entries have the precision ``dtype``.
         """
         d, hyper_tangent = self.dim, None
         if hyper is not None and at.hyper is not None:

@@ -310,7 +310,11 @@ class Preconditioner:
         return rows
 
     def _block(self, y: np.ndarray) -> np.ndarray:
-        """Apply the tangent's inverse; its only normal derivatives are those on facets between ranks."""
+        """Apply the inverse of the velocity tangent to rows ``y`` of the flow and of the normal derivatives.
+
+        Of the normal derivatives, only those on facets between ranks are unknowns of the tangent. All others
+        follow from the velocity and their own rows.
+        """
         tangent, dim, (rows, a) = self.hyper_tangent, self.dim, np.split(y, [len(self.free)])
         if tangent is None:
             return self.solver(rows)

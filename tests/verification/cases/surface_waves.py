@@ -203,8 +203,9 @@ HEAVY = 6.0
 
 
 def _interface(c: float) -> np.ndarray:
-    """Velocity along and across the interface and stress (xy, yy) there, a column for each potential: the
-    pressure's and the shear's below the interface, and minus those above it; over k, k c and mu of below."""
+    """Matrix with a column for each potential: pressure and shear below the interface, then pressure and
+    shear above it with the opposite sign. The rows are the velocities along and across the interface and the
+    stresses xy and yy. Common factors of a row are left out."""
     columns = []
     for above, mu in ((1, 1.0), (-1, HEAVY)):
         p, s = above * math.sqrt(1 - c * c / 3), above * math.sqrt(1 - c * c)
