@@ -84,7 +84,7 @@ class UnknownNameError(NgviscoError, KeyError):
 
 
 def require_known(kind: str, names: Iterable[str], known: Collection[str], key: str = "") -> None:
-    """Raise UnknownNameError for the first of the names that is not ``known``."""
+    """Raise UnknownNameError for the first name that is not in ``known``."""
     for name in names:
         if name not in known:
             raise UnknownNameError(kind, name, known, key)

@@ -63,9 +63,9 @@ Factorising = Callable[[np.ndarray, sp.csr_matrix, bool], Direct]
 class DirectSolver:
     """A direct solver in the free unknowns of a mask; other unknowns are set to 0.
 
-    If ``symmetric``, the solver takes the matrix's symmetric part.  If ``approximate``, the solver uses
-    factors in single precision where these are accurate enough; such factors take half of the time and the
-    memory.
+    If ``symmetric`` is True, the solver takes the matrix's symmetric part.  If ``approximate`` is True, the
+    solver uses factors in single precision where these are accurate enough; such factors take half of the
+    time and the memory.
     """
 
     def __init__(self, free: np.ndarray, symmetric: bool = False, approximate: bool = False) -> None:
@@ -131,8 +131,8 @@ def direct_solver(free: np.ndarray, exchange: Owned, symmetric: bool = False) ->
 
     Over ranks the matrix is the sum of the ranks' parts.
 
-    If ``symmetric``, the solver takes the matrix's symmetric part and serves as a preconditioner; on one
-    process it then uses factors in single precision where they are accurate enough.
+    If ``symmetric`` is True, the solver takes the matrix's symmetric part and serves as a preconditioner; on
+    one process it then uses factors in single precision where they are accurate enough.
     """
     if exchange.is_distributed:
         return SumInverse(free, exchange, symmetric)

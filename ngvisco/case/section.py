@@ -153,9 +153,9 @@ def section(
     """The section that holds the parameters of a class or function.
 
     ``tag`` is a key and the value that chooses this section, such as ``("kind", "NeoHookean")``; the key may
-    be left out if the section ``is_default``.  ``types`` gives the schema's types for parameters that are
+    be left out if ``is_default`` is True.  ``types`` gives the schema's types for parameters that are
     laws.  ``base`` adds further keys, ``without`` names parameters that are no keys, and ``defaults`` has
-    other defaults.  If not ``is_whole``, the section alone does not suffice to make the object.
+    other defaults.  If ``is_whole`` is False, the section alone does not suffice to make the object.
     """
     types = {**_TYPES, **types}
     # get_type_hints resolves the fields' hints by the names in the module of each class

@@ -190,7 +190,7 @@ class Bounds:
     def violation(self, everywhere: bool = False) -> Violation | None:
         """The first violation of a bound by the present state, or None.
 
-        If ``everywhere``, violations at points count too, although the limiter would correct them.
+        If ``everywhere`` is True, violations at points count too, although the limiter would correct them.
         """
         outside = self._outside()
         if outside is None:
@@ -205,8 +205,8 @@ class Bounds:
         """Message that the present state is not admissible, or None: rho, J, ... or the temperature is not
         positive, or a value is not a number.  A state out of bounds is kept as ``refused``.
 
-        If ``is_solved``, the state must have a stored energy. The extrapolated end of a step may have no
-        energy before it is limited, so that ``lack`` checks its energy after the limiter.
+        If ``is_solved`` is True, the state must have a stored energy. The extrapolated end of a step may have
+        no energy before it is limited, so that ``lack`` checks its energy after the limiter.
         """
         violation = self.violation()
         if violation is not None:
@@ -296,8 +296,9 @@ class Bounds:
     def limit(self, tau: float = 0.0) -> int:
         """Limit the present state, whose means are within their bounds; return the number of limited cells.
 
-        Only rho and z change, and only in cells that are out of bounds at a point.  If ``tau``, the length of
-        a step that ends in the state, s, is given, ``Discretisation.sharp`` first separates the bodies.
+        Only rho and z change, and only in cells that are out of bounds at a point.  ``tau`` is the
+        length, s, of the step that ends in the state, or 0.  If ``tau`` is not 0, ``Discretisation.sharp``
+        first separates the bodies.
         """
         if self.sharpening is not None and tau > 0:
             self.sharpening.put_apart(tau)

@@ -188,8 +188,8 @@ class Context:
         """The mean over ``loads_over`` to ``ngvisco.forms.time_means.TOLERANCE`` (paper: g^k_{delta tau}).
 
         Every ``set_loads`` updates the mean of a function of time; any other ``value`` is returned as it is.
-        The mean holds in cells, or on the facets of ``walls``.  If it ``is_even``, all times of the step have
-        equal weights in every stage of a scheme, so that the mean of positive values is positive.
+        The mean holds in cells, or on the facets of ``walls``.  If ``is_even`` is True, all times of the step
+        have equal weights in every stage of a scheme, so that the mean of positive values is positive.
         """
         if not may_read_time(value):
             return value

@@ -322,10 +322,10 @@ class Sharpening:
     def _exchanged(
         self, u: np.ndarray, one: tuple[int, np.ndarray], two: tuple[int, np.ndarray], wanted: np.ndarray
     ) -> np.ndarray:
-        """Exchange ``wanted`` amounts of a body, given by the cells of ``one``, for equal amounts of another
-        body from the cells of ``two``, in place and as far as the cells have these amounts; return what was
-        exchanged. In exchange for matter that fills up a negative amount a cell gives matter with the cell's
-        X/n."""
+        """Exchange the amounts ``wanted`` of a body, given by the cells of ``one``, for equal amounts of
+        another body from the cells of ``two``, in place and as far as the cells have these amounts; return
+        what was exchanged. In exchange for matter that fills up a negative amount a cell gives matter with
+        the cell's X/n."""
         start, amount = self._contained(u), wanted
         least = _ROUNDING * start[self._amounts].sum(axis=0)
         for body, source in (one, two):

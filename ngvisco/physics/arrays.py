@@ -249,7 +249,7 @@ class Array(_Node):
         return Array((self.value[0] * cofactor[0]).sum(axis=0), [(self, lambda g: g * cofactor)])
 
     def where_positive(self, then: Any, otherwise: Any) -> Array:
-        """``then`` where this scalar is > 0, ``otherwise`` elsewhere."""
+        """The value of ``then`` where this scalar is > 0, and the value of ``otherwise`` elsewhere."""
         a, b, positive = _array(then), _array(otherwise), self.value.real > 0
         pulls = [(a, lambda g: np.where(positive, g, 0.0)), (b, lambda g: np.where(positive, 0.0, g))]
         return Array(np.where(positive, a.value, b.value), pulls)

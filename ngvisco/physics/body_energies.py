@@ -26,7 +26,8 @@ from ngvisco.physics.variables import Values, Variable
 
 @dataclass(frozen=True)
 class EnergyPart(Material):
-    """A part of an energy as a material: the function ``of`` of the values of ``transported`` variables."""
+    """A part of an energy, as a material. The part is the function ``of`` of the values of the variables
+    ``transported``."""
 
     of: Callable[[Values], Any]
     transported: tuple[Variable, ...]

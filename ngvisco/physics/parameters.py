@@ -406,7 +406,7 @@ def told_apart(laws: Iterable[T], taken: Iterable[str] = ()) -> list[T]:
 
 
 def _with_own_names(law: T, name_of: Callable[[Parameter], str], is_own: bool) -> T:
-    """A law whose moduli become parameters named by ``name_of``; ``is_own`` marks them as the law's own."""
+    """The law, with names by ``name_of`` for its own parameters. ``is_own``: they stay the law's own."""
 
     def named(expression: ParameterExpression) -> ParameterExpression:
         if not (isinstance(expression, _Modulus) and expression.is_own):

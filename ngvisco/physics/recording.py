@@ -76,7 +76,8 @@ class Program:
     """The operations that a function of named arrays performs.  ``of`` makes a program."""
 
     def __init__(self, keeps: bool = True) -> None:
-        """A program that ``keeps`` its data reads them once after each ``begin``, else at each call."""
+        """If ``keeps`` is True, the program reads its data once after each ``begin``, otherwise at each
+        call."""
         self._keeps = keeps
         self._values: list[Any] = []
         self._steps: list[Operation] = []

@@ -170,12 +170,12 @@ def log_det(A: Tensor) -> Tensor:
 
 
 def if_positive(a: Tensor, then: Tensor | float, otherwise: Tensor | float) -> Tensor:
-    """``then`` where a > 0, ``otherwise`` elsewhere."""
+    """The value of ``then`` where a > 0, and the value of ``otherwise`` elsewhere."""
     return a.where_positive(then, otherwise) if hasattr(a, "where_positive") else IfPos(a, then, otherwise)
 
 
 def is_number(a: Tensor, then: Tensor | float, otherwise: Tensor | float) -> Tensor:
-    """``then`` where the scalar a is not NaN, ``otherwise`` where it is NaN."""
+    """The value of ``then`` where the scalar a is not NaN, and the value of ``otherwise`` elsewhere."""
     return if_positive(1.0 + a * a, then, otherwise)
 
 

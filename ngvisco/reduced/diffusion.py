@@ -107,7 +107,7 @@ class FieldDiffusionRows:
     def laplacian(self, inverse_mass: sp.csr_matrix) -> sp.csr_matrix:
         """delta Laplace of one component for phi'' = 1, which approximates the rows for smooth z.
 
-        Each rank has the contributions of its own cells; columns are numbered as in ``unknowns``.
+        On each rank the sum is over that rank's cells. Columns are numbered as in ``unknowns``.
         """
         square = sum(L.T @ inverse_mass @ L for L in self._lifting)
         return (self._delta * (square + widened(self._penalty, *square.shape))).tocsr()

@@ -56,10 +56,10 @@ def names_of(step: Step, inside: bool) -> tuple[list[str], list[str]]:
 
 
 def tests_of(step: Step, inside: bool, context: Any) -> Fields:
-    """Tests of the unknowns, in cells if ``inside``, else on facets; each test records its factor in an
-    integrand.
+    """Tests of the unknowns. Each test records its factor in an integrand.
 
-    Tests in cells also have gradients. Tests on facets include the tests of facet means.
+    The tests are in cells if ``inside`` is True, otherwise on facets. Tests in cells also have gradients.
+    Tests on facets include the tests of facet means.
     """
     shapes, d = shapes_of(step), step.mesh.dim
     names = [name for name in in_cells(step.layout) if name in shapes] if inside else on_sides(step)

@@ -98,7 +98,7 @@ class MatrixHyperviscosity:
         k = layout.discretisation.k
         ones = layout.states.tensors(lambda: Array(np.ones((layout.states.size, 1)), None))
         is_uniform = all(isinstance(modulus, (int, float)) for modulus in self.law.moduli(ones))
-        # if ``constant``, Hs is constant in each cell, and one point suffices for functions of Hs
+        # if Hs is constant in each cell, one point suffices for functions of Hs
         constant = k == 2 and step.mesh.GetCurveOrder() <= 1 and is_uniform
         self.op = Operators(step, 0) if constant else op
         velocity = layout.scalar_space("v")
@@ -150,7 +150,7 @@ class MatrixHyperviscosity:
     def dissipated_on_sides(self, cells: slice, of: Mapping[str, np.ndarray]) -> dict[str, Array]:
         """Dissipation by the penalty, W/m^2, by the ledger's names, at the points of some cells' sides.
 
-        The coefficients ``of`` v, a, z and |Hs|^2 are those of all cells."""
+        ``of`` has the coefficients of v, a, z and |Hs|^2 in all cells, by name."""
         jumps = self.sides.jump.part(cells)(np.concatenate([of["v"], of["a"]], axis=1))
         values = self.sides.values(jumps, of.get("hess_square"), of["z"], self.sides.op.part(cells))
         return self.term.dissipated_on_facets(values)

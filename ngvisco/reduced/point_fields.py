@@ -59,7 +59,7 @@ def lazy_fields(
 
 
 def with_values(u: Fields, **given: np.ndarray) -> Fields:
-    """Fields in which some unknowns, or ``grad_v``, have the ``given`` values."""
+    """Fields in which some unknowns, or ``grad_v``, have the values in ``given``."""
     parts = {name: Array(values, None) for name, values in given.items()}
     result = Fields(u.layout, ChainMap(parts, u.parts), u.context, u.gradient)  # type: ignore[arg-type]
     if "grad_v" in parts:

@@ -306,8 +306,8 @@ class ReducedResidual:
             self._at_collocation_points(self.collocated_terms, c, True)
 
     def _at_collocation_points(self, terms: CellTerms, c: dict[str, np.ndarray], is_real: bool) -> Fields:
-        """Fields at the collocation points; if ``is_real``, these values are put into the linearisation
-        stresses."""
+        """Fields at the collocation points. If ``is_real`` is True, their values are put into the
+        linearisation stresses."""
         n = terms.fields(c)
         if is_real:
             self.step.stresses.refresh(lambda: (n.z.value, n.zeta.value))

@@ -66,7 +66,7 @@ class Adjoint:
         """Slopes by the independent coefficients of the start, (numbers, unknowns)."""
 
     def run(self, from_start: bool, progress: Callable[[int], None] = lambda number: None) -> None:
-        """Go backwards through the steps; ``from_start`` tells whether start values depend on parameters."""
+        """Go backwards through the steps. ``from_start`` tells whether start values depend on parameters."""
         steps = self.trajectory.steps
         slopes, left = np.zeros_like(self.of_start), len(steps)
         if (kept := self.trajectory.kept(_KEPT)) is not None:
@@ -96,8 +96,10 @@ class Adjoint:
     def _seeds_of_start(
         self, weights: np.ndarray, of_starts: np.ndarray, states: list[np.ndarray], number: int
     ) -> np.ndarray:
-        """Slopes of the numbers by one state from which the step starts, (numbers, unknowns), through the
-        columns at the present state that read the step's start."""
+        """Slopes of the numbers by one start state, (numbers, unknowns).
+
+        The slopes contain only columns at the present state that read the step's start.
+        """
         result = np.zeros((len(weights), len(self.base.state)))
         for name in self.slopes.reading_start:
             if (of_column := weights[:, self.base.columns.names.index(name)]).any():
@@ -113,7 +115,8 @@ class Adjoint:
                 put(follower)
 
     def _read_at(self, state: np.ndarray, weights: np.ndarray) -> None:
-        """Set the present state; add the numbers' derivatives by the parameters at this fixed state."""
+        """Set the present state, and add the derivatives of the numbers by the parameters at this fixed
+        state to ``jacobian``."""
         if weights.any():
             for j, near in enumerate(self.near):
                 near.freeze(self.base, state)
@@ -122,7 +125,7 @@ class Adjoint:
         self.base.at(state)
 
     def _step(self, number: int, recorded: RecordedStep, slopes: np.ndarray) -> np.ndarray:
-        """Slopes by the start of a step, from the slopes by its end."""
+        """Slopes of the numbers by the start of a step, computed from ``slopes`` by the end of the step."""
         solutions = [recorded.state, *(stage.state for stage in recorded.stages)]
         loads, weights = np.zeros((len(solutions), *slopes.shape)), self.ends[:, number]
 
@@ -149,9 +152,10 @@ class Adjoint:
     def _dissipation(
         self, number: int, recorded: RecordedStep, states: list[np.ndarray], loads: np.ndarray
     ) -> np.ndarray:
-        """Add slopes of the scheme's dissipation to ``loads``, and its derivatives by the parameters.
+        """Add the slopes of the scheme's dissipation by the states to ``loads``, and its derivatives by the
+        parameters to ``jacobian``.
 
-        Returns the slopes by the end of the step, which is the last of ``states`` and the present state.
+        Returns the slopes by the end of the step. The end is the last of ``states`` and the present state.
         """
         weights, base = self.means[:, number], self.base
         result = np.zeros((len(states), *loads.shape[1:]))
@@ -211,8 +215,10 @@ class Adjoint:
         whole: np.ndarray,
         loads: np.ndarray,
     ) -> None:
-        """Add a combined end's contributions to ``loads``, the slopes by the stages' solutions. ``whole`` are
-        the slopes by this end, which is the present state."""
+        """Add the contributions of a combined end to ``loads``, the slopes by the stages' solutions.
+
+        The combined end is the present state. ``whole`` are the slopes by this end.
+        """
         base, starts = self.base, self.starts
         ranges = base.step.layout.ranges
         is_v = np.zeros(len(base.state), dtype=bool)
@@ -242,7 +248,7 @@ class Adjoint:
     ) -> np.ndarray:
         """Weights, (numbers, unknowns), that the momentum's rows at a combined end have in the numbers.
 
-        The rows' power has slopes by the last stage's velocity, which are added to ``loads``.
+        The slopes of the rows' power by the last stage's velocity are added to ``loads``.
         """
         weights, rows = self.means[:, number] / recorded.tau, self.slopes.rows
         if recorded.ends_at_stage:

@@ -119,11 +119,11 @@ class BodySlopes:
 
     @cached_property
     def _weights(self) -> tuple[Callable[[np.ndarray], np.ndarray], list[GridFunction], Slope]:
-        """The parts with which ``_to_state`` makes a slope by the state from weights at the points.
+        """Solver, functions and slope with which ``_to_state`` computes slopes by the state.
 
-        The first part solves for the coefficients of a function with given values at the points.  The second
-        part has functions for the weights, one for each fraction and each component of the velocity.  The
-        third part is the slope of the weighted sum of fractions and velocities by the state.
+        The solver returns the coefficients of a function with given values at the points.  The functions hold
+        the weights at the points, one function for each fraction and each component of the velocity.  The
+        slope is that of the weighted sum of fractions and velocities by the state.
         """
         mesh, lattice = self.step.mesh, self.table.fractions.lattice
         space = L2(mesh, order=PIECES)
@@ -136,7 +136,8 @@ class BodySlopes:
         return splu(basis_at(space, lattice)).solve, functions, self.variations.applied(form, lambda: None)
 
     def _to_state(self, corners: Mapping[str, Corners]) -> np.ndarray:
-        """Slope by the state, from slopes by the averaged fractions and the velocity at corners."""
+        """Slope by the state, computed from the slopes by the averaged fractions and the velocity at
+        corners."""
         solve, functions, slope = self._weights
         samples, names = self.table.fractions, self.table.names
         for function in functions:

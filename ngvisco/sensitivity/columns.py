@@ -50,7 +50,7 @@ def tables_of(simulation: Simulation) -> list[Series]:
 
 
 def arguments_of(table: Series) -> dict[str, Any]:
-    """A table's class and the arguments that say what it measures, by name."""
+    """Class of a table, and the arguments that determine its columns, by name."""
     names = sorted(set(inspect.signature(type(table)).parameters) - {"path", "every"})
     return {"kind": type(table).__name__, **{name: getattr(table, name) for name in names}}
 
@@ -101,8 +101,8 @@ class Columns:
         self._of_state, self._of_rates, self._of_forces = mask(state), mask(rates), mask(forces)
         self._of_extrema, self._of_norms = mask(self.extrema.names), mask(norms)
         self.is_of_steps = mask({*forces, *NUMERICAL})
-        """Whether each column is an exchange in a step: the step's length times a mean over stages,
-        (columns,)."""
+        """Whether each column is an exchange in a step, (columns,).  Such a column is the step's length times
+        a mean over stages."""
         self.has_distances = bool(mask(NUMERICAL).any())
         """Whether some columns are parts of the scheme's dissipation."""
         self._of_tables = [
@@ -112,7 +112,7 @@ class Columns:
         ]
 
     def unit(self, name: str) -> str | None:
-        """SI unit of a column; None if it is unknown, as for an integral of an expression."""
+        """SI unit of a column; None if the unit is unknown, as for an integral of an expression."""
         for table, columns, _ in self._of_tables:
             if name in columns:
                 return _unit_of(table, name)
@@ -131,7 +131,7 @@ class Columns:
 
     @property
     def is_of_stages(self) -> np.ndarray:
-        """Whether each column has values of a step's stages, such as rates and forces, (columns,)."""
+        """Whether each column is a mean over a step's stages, such as rates and forces, (columns,)."""
         mask = self._of_rates | self.is_of_steps
         for table, _, places in self._of_tables:
             if isinstance(table, WallForces):
@@ -160,8 +160,9 @@ class Columns:
         return share * values
 
     def impulse(self, rows: np.ndarray, v: np.ndarray | None) -> np.ndarray:
-        """Contributions of the walls' impulse to the columns; ``rows`` is the impulse in the rows of v over
-        the step's length, N.
+        """Contributions of the walls' impulse to the columns, (columns,).
+
+        ``rows`` is the impulse over the step's length, N, in the rows of v.
 
         With ``v``, the velocity of the last stage, the contributions include the impulse's power.
         """
@@ -184,13 +185,18 @@ class Columns:
         return values
 
     def at_end(self, means: np.ndarray, of_state: np.ndarray, tau: float) -> np.ndarray:
-        """The columns at the end of a step of length ``tau``, from means and the result of ``state``, or from
-        derivatives of both."""
+        """Values of the columns at the end of a step of length ``tau``, (columns,).
+
+        ``means`` are the means over stages, and ``of_state`` is the result of ``state``.  With derivatives of
+        both, the result is the derivative of the values.
+        """
         return np.where(self.is_of_stages, np.where(self.is_of_steps, tau * means, means), of_state)
 
     def state(self) -> np.ndarray:
-        """Values of the columns at a step's end, which is the present state, (columns,); zero for means over
-        stages."""
+        """Values of the columns at the present state, which ends a step, (columns,).
+
+        Columns that are means over stages have the value zero.
+        """
         values = self._of_fields()
         for table, _, places in self._of_tables:
             if not isinstance(table, WallForces):
@@ -198,7 +204,7 @@ class Columns:
         return values
 
     def _of_fields(self) -> np.ndarray:
-        """Values of the ledger's columns of a state."""
+        """Values of those ledger columns that the present state determines; zero for other columns."""
         return (
             self._values(self._of_state, self.simulation.ledger.state)
             + self._values(self._of_extrema, self.extrema.values)
@@ -210,7 +216,7 @@ class Columns:
         return dict(zip(NORMS, (gap, of_pairs.max(initial=0.0)), strict=True))
 
     def _values(self, mask: np.ndarray, read: Callable[[], Mapping[str, float]]) -> np.ndarray:
-        """Values of the columns in ``mask``; others are zero."""
+        """Values of the columns in ``mask``; zero for other columns."""
         row = read() if mask.any() else {}
         return np.array(
             [row[name] if is_read else 0.0 for name, is_read in zip(self.names, mask, strict=True)]

@@ -127,11 +127,11 @@ def _checked(where: str, columns: dict[str, np.ndarray], units: dict[str, str]) 
 
 
 def converted(data: Data, units: Mapping[str, str | None], factor: Any = None) -> Data:
-    """The data in the SI units ``units`` of the columns; a unit None is unknown, and its column is not
-    converted.
+    """The data in the SI units ``units`` of the columns.
 
-    ``factor(unit, wanted)`` returns the size of a unit in wanted units; without this function the data have
-    to be in the wanted units.  Raises DataError for a wrong unit.
+    A column with the unit None is not converted.  ``factor(unit, wanted)`` returns the size of ``unit`` in
+    the unit ``wanted``.  Without ``factor`` the data have to be in SI units.  Raises DataError for a wrong
+    unit.
     """
     scales = {}
     for name, unit in data.units.items():

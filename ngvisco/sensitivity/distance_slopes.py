@@ -29,7 +29,8 @@ class DistanceSlopes:
         self._slopes = [self._by(0), self._by(1)]
 
     def _by(self, number: int) -> dict[str, Slope]:
-        """Slopes by a or by b, by the ledger's columns."""
+        """Slopes of the parts of B(a, b) by a (``number`` 0) or by b (1), by the names of the ledger's
+        columns."""
         step, variations = self.step, Variations(self.step, at=self._states[number].vec)
         fields = list(self._fields)
         fields[number] = Fields(step.layout, variations.trial.parts)
@@ -44,7 +45,7 @@ class DistanceSlopes:
         return {name: variations.of_sum(integrands) for name, integrands in parts.items()}
 
     def __call__(self, name: str, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Slopes of a column by a and by b, (unknowns,) each; the call overwrites the present state."""
+        """Slopes of a column by a and by b, (unknowns,) each. The call overwrites the present state."""
         for state, values, u in zip(self._states, (a, b), self._fields, strict=True):
             state.vec.FV().NumPy()[:] = values
             self.step.energy.refresh(u)

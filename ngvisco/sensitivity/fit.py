@@ -236,7 +236,7 @@ class _StopWith:
 
 
 class _Search:
-    """The least-squares problem: one run gives residuals and Jacobian, which are stored."""
+    """The least-squares problem. One run determines the residuals and the Jacobian, which are stored."""
 
     def __init__(
         self,
@@ -290,7 +290,7 @@ class _Search:
             self.runs, self.spent = self.runs + 1, numbers["spent"]
 
     def _keep(self, q: np.ndarray, result: Gradient | None) -> None:
-        """Keep the result of the last run, None without a solution, by the unknowns ``q`` of the search."""
+        """Keep the last run's result, or None without a solution, under the search's unknowns ``q``."""
         self.kept[q.tobytes()] = result
         if self._restart is None:
             return
@@ -302,12 +302,12 @@ class _Search:
         self._restart.keep(_name(self.runs), numbers, arrays)
 
     def _inner(self, p: np.ndarray) -> np.ndarray:
-        """Unknowns of the search from parameters ``p``: logarithms if bounds have one sign, else scaled."""
+        """Unknowns of the search: logarithms of ``p`` if the bounds have one sign, otherwise scaled ``p``."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(self.signs != 0, np.log(self.signs * p), p / self.scales)
 
     def _outer(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Parameters from unknowns ``q`` of the search, and their derivatives by ``q``."""
+        """Parameters for unknowns ``q`` of the search, and the parameters' derivatives by ``q``."""
         p = np.where(self.signs != 0, self.signs * np.exp(np.where(self.signs != 0, q, 0.0)), q * self.scales)
         return p, np.where(self.signs != 0, p, self.scales)
 

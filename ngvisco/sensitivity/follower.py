@@ -40,14 +40,16 @@ class Follower:
         return self.step.evolved()
 
     def pose(self, stage: Stage, states: Sequence[Evolved]) -> None:
-        """Pose the equations of a stage: set the stage's times, and its old state from the states y_0, y_1,
-        ..."""
+        """Pose the equations of a stage: set the stage's times and its old state.
+
+        The old state is a weighted sum of ``states``, y_0, y_1, ...
+        """
         step, at = self.step, stage.interval
         step.context.set_step(at.tau, at.end, at.loads_from, at.loads_over, at.loads_tilt)
         step.start_from(list(zip(stage.starts, states, strict=False)))
 
     def begin(self, state: np.ndarray) -> None:
-        """Set the present state, the start of a run, and the same state as the step's start."""
+        """Begin a run: ``state`` becomes the present state and the step's start."""
         self.step.start_from([(1.0, self.evolved(state))])
         self.at(state)
 
@@ -63,7 +65,7 @@ class Follower:
     def at(self, state: np.ndarray, stage: Stage | None = None) -> None:
         """Set the present state, and the stresses at which flow rules are linearised.
 
-        The stresses are those recorded in ``stage``; without a stage they follow from the state.
+        The stresses are those recorded in ``stage``. Without a stage, the stresses follow from the state.
         """
         self.state[:] = state
         self.step.stresses.start()
@@ -72,7 +74,8 @@ class Follower:
         self.step.local_unknowns.update_stored()
 
     def residual(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Residual R at a state with this run's velocities of walls, and the state with these velocities."""
+        """Residual R at ``state`` with this run's velocities of walls, and the state with these
+        velocities."""
         self.state[:] = state
         self.step.moving_walls.set_values()
         self.at(self.state.copy())
@@ -104,8 +107,8 @@ class Follower:
         """State at a combined end with a given velocity, and the momentum equation's residual there.
 
         ``states`` are y_0, y_1, ..., and ``last`` is the last stage's solution.  ``v`` are coefficients of
-        the velocity; those prescribed by moving walls are replaced.  The limiter's change of the run's state
-        is added, and the change by this run's own sharpening of interfaces.
+        the velocity; coefficients that moving walls prescribe are replaced.  Two changes are added: the
+        limiter's change of the recorded state, and the change by this run's own sharpening of interfaces.
         """
         step, ranges = self.step, self.step.layout.ranges
         change = recorded.change + self._sharpened(recorded, [state.values for state in states])
@@ -124,8 +127,11 @@ class Follower:
         return self.state.copy(), self._momentum_rows()
 
     def _sharpened(self, recorded: RecordedStep, states: Sequence[Mapping[str, np.ndarray]]) -> np.ndarray:
-        """Change of the state by the sharpening in a step with ``states`` y_0, y_1, ..., less the change in
-        the recorded step, (unknowns,)."""
+        """Change of the state by this run's sharpening, less the change by sharpening in the recorded step,
+        (unknowns,).
+
+        ``states`` are y_0, y_1, ... of this run's step.
+        """
         sharpening, ranges = self.simulation.bounds.sharpening, self.step.layout.ranges
         difference = np.zeros_like(self.state)
         if sharpening is None:
@@ -163,7 +169,8 @@ class Follower:
         return self.columns.impulse(rows, None if recorded.ends_at_stage else v)
 
     def impulse_rows(self, recorded: RecordedStep, states: Sequence[Evolved], end: np.ndarray) -> np.ndarray:
-        """Rows of the momentum equation at a combined end, N s: the walls' impulse where walls hold v."""
+        """Rows of the momentum equation at a combined end, N s. Where walls hold v, they are the walls'
+        impulse."""
         self.step.start_from(list(zip(recorded.weights, states, strict=False)))
         self.state[:] = end
         if (multiplier := self.step.layout.ranges.get("wall_stress")) is not None:

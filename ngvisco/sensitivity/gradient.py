@@ -233,7 +233,7 @@ def gradient(
 def numbers_of(
     of: Sequence[str] | Mapping[str, str | Misfit], until: float, simulation: Simulation
 ) -> Numbers:
-    """The numbers asked for, with the columns of which they are made."""
+    """The numbers that ``of`` names."""
     return Numbers.of(of, until, simulation.t, simulation.ledger.momentum.balances)
 
 

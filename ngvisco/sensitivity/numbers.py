@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from ngvisco.sensitivity.columns import Columns
 
 Balanced = tuple[str, list[str]]
-"""A column of the state, and the columns of impulses in a step; without a defect the state's change is the
-sum of the impulses."""
+"""A column of the state, and the columns of impulses in a step.  The defect of the balance is the change of
+the first column in a step less the sum of the impulses."""
 _TEXT = re.compile(r"(?P<column>\S+)\s+(?P<kind>at|until)\s+(?P<time>\S+)")
 
 
@@ -125,13 +125,13 @@ class Numbers:
     """
 
     wanted: tuple[Wanted, ...]
-    """The columns at times, or integrals, of which the numbers are made."""
+    """The parts of all numbers."""
     of_names: dict[str, tuple[slice, Misfit | None]]
     balances: Mapping[str, Balanced] = field(default_factory=dict)
 
     @property
     def columns(self) -> list[str]:
-        """The columns of which the numbers are linear functions."""
+        """The columns of which the parts are linear functions."""
         names: list[str] = []
         for part in self.wanted:
             state, impulses = self.balances.get(part.column, (part.column, []))
@@ -146,7 +146,7 @@ class Numbers:
         begin: float = 0.0,
         balances: Mapping[str, Balanced] | None = None,
     ) -> Numbers:
-        """The numbers of the argument ``of`` of ``gradient``, for a run from ``begin`` to ``until``, s.
+        """The numbers for the argument ``of`` of ``gradient``, in a run from ``begin`` to ``until``, s.
 
         ``balances`` has the columns that are defects of balances, see ``Momentum.balances``.  Raises
         ParameterError for an invalid text, and for a time outside the run.
@@ -195,7 +195,7 @@ class Numbers:
         return ends, integrals
 
     def parts(self, history: History) -> np.ndarray:
-        """Values of the parts in a history, (parts, ...)."""
+        """Values of the parts, (parts, ...), for the columns in ``history``."""
         values = []
         for number in self.wanted:
             parts = zip(self._weights(number, history.times), (history.ends, history.integrals), strict=True)

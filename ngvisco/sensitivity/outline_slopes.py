@@ -18,7 +18,8 @@ from ngvisco.run.outlines import Cut, Gap, Moments
 from ngvisco.sensitivity.parameters import OFFSETS, STEP, differenced
 
 _SIMPSON = ((0.0, 1 / 6), (0.5, 2 / 3), (1.0, 1 / 6))
-"""Places on a segment and weights of Simpson's rule, exact for the integrals here, of degree three."""
+"""Places on a segment and weights of Simpson's rule.  The rule is exact, since the integrands here have
+degree three."""
 _PLACE, _VELOCITY, _SHARES = slice(0, 2), slice(2, 4), slice(4, 7)
 """Columns of a traced cut: place, velocity, and shares of the three corners."""
 
@@ -69,7 +70,8 @@ class OutlineSlopes:
         return result
 
     def _of_velocity(self, f: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-        """Slopes by v of the region's integral of f . v, f a vector-valued linear function of the columns."""
+        """Slopes by v of the region's integral of f . v.  The vector f is a linear function of the columns of
+        ``cut``."""
         inside, result = self.cut.inside, np.zeros((*self.theta.shape, 2))
         edges = inside[:, 1:, _PLACE] - inside[:, :1, _PLACE]
         areas = 0.5 * abs(np.linalg.det(edges))
@@ -141,7 +143,7 @@ class OutlineSlopes:
         return self._of_moments(moments, by_second, np.zeros((2, 2)))
 
     def turning(self) -> Corners:
-        """Slopes of the rate of tank-treading, linear in the velocity."""
+        """Slopes of the rate of tank-treading, a linear function of the velocity."""
         moments = self._moments()
         M, mixed = moments.second, moments.gradient @ moments.second
 

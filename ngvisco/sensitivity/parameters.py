@@ -24,20 +24,20 @@ _OF_MODEL = ("material", "viscosity", "hyperviscosity", "creep", "heat", "regula
 _OF_RUN = ("initial", "walls")
 _IN_FRONT = ("rheology", "model")
 PART = "part of a run"
-"""Words of messages for what the first key of a path names."""
+"""Words with which messages denote the first key of a path."""
 _START = "initial"
 
 STEP, AT_FIXED_STATES = 1e-4, 1e-3
 """Spacing h of the differences by a parameter p, relative to p, for a tangent and for an adjoint.
 
-The differences of an adjoint do not change states, and laws are smoother in their parameters than in the
-state."""
+The spacing of an adjoint is larger: its differences do not change states, and laws are smoother in their
+parameters than in the state."""
 OFFSETS = {4: (-2.0, -1.0, 1.0, 2.0), 2: (-0.1, 0.1)}
 """Offsets o of the evaluations at p + o h, by the order of the differences."""
 
 
 def differenced(values: Sequence[np.ndarray], h: float) -> np.ndarray:
-    """Derivative by p from values at p + o h, one for each of four or two ``OFFSETS`` o."""
+    """Derivative by p, from values at p + o h for the four or two ``OFFSETS`` o."""
     result: np.ndarray
     if len(values) == 2:
         result = (values[1] - values[0]) / ((OFFSETS[2][1] - OFFSETS[2][0]) * h)
@@ -70,7 +70,7 @@ class Named:
 
     @classmethod
     def of(cls, name: str, simulation: Simulation, step: float = STEP) -> Named:
-        """The parameter of a run with a given name; ``step`` is the spacing relative to its size."""
+        """The parameter ``name`` of a run.  ``step`` is the spacing relative to the parameter's size."""
         if not isinstance(name, str):
             raise ParameterError("by", name, 'names of parameters, e.g. "material.G_e"')
         keys = tuple(name.split("."))

@@ -46,7 +46,7 @@ class Restart:
 
     @classmethod
     def at(cls, folder: AnyPath, simulation: Simulation, request: Mapping[str, Any]) -> Restart:
-        """The folder of a run from its present state, and of a ``request``; a missing folder is made.
+        """The folder for a run from its present state and for a ``request``.  A missing folder is made.
 
         The run's mesh and energies are identified as those of a checkpoint, its tables by their arguments.
         Raises CheckpointError if the folder belongs to another run or request; the

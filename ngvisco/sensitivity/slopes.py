@@ -47,7 +47,8 @@ class Slopes:
         self._extrema = follower.columns.extrema
         self._of = self._slopes(Variations(self.step), names)
         self.distances = DistanceSlopes(follower) if follower.columns.has_distances else None
-        """Slopes of the scheme's dissipation, which no single state determines, or None."""
+        """Slopes of the scheme's dissipation, which depends on several states; None if no column needs
+        them."""
         elsewhere = [*self.rows.powers, *NUMERICAL]
         self._of |= {name: lambda: np.zeros(len(follower.state)) for name in elsewhere}
         for name in names:
@@ -96,7 +97,8 @@ class Slopes:
         return slopes | {name: variations.of(integrands[name]) for name in names if name in integrands}
 
     def _reading_start(self) -> set[str]:
-        """Names of the columns whose integrands or fields read the start of a stage, and of all defects."""
+        """Names of the columns whose integrands or fields read the start of a stage.  All defects are among
+        them."""
         names = set(self.follower.simulation.ledger.momentum.of_steps)
         for term in self.step.terms:
             u, reads_start = self.starts.fields()
@@ -134,7 +136,8 @@ class Slopes:
         return slope
 
     def _is_linear(self, field: str) -> bool:
-        """Whether a field is linear in the evolving unknowns and reads no others: its slope is constant."""
+        """Whether a field is linear in the evolving unknowns and reads no other unknowns.  The slope of such
+        a field is constant."""
         carried = {
             variable.name
             for variable in self.step.model.material.variables
@@ -184,8 +187,7 @@ class Slopes:
     ) -> np.ndarray:
         """Slope of a function of the coefficients of a cell, by differences.
 
-        If the function ``is_linear`` (see ``_is_linear``), two values for each evolving coefficient
-        suffice."""
+        If ``is_linear`` is True (see ``_is_linear``), two values for each evolving coefficient suffice."""
         order, spacing = (2, 1.0) if is_linear else (4, _SPACING)
         ranges, evolving = self.step.layout.ranges, self.step.layout.evolving
         dofs = np.array(self.step.layout.space.GetDofNrs(ElementId(VOL, cell)))

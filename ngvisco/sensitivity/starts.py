@@ -44,8 +44,8 @@ class Starts:
         self._product = self.step.state.vec.CreateVector()
 
     def fields(self) -> tuple[Fields, Callable[[], bool]]:
-        """Fields of the present state in a step that starts from y_k, a trial function; and a function that
-        tells whether the start was read."""
+        """Fields of the present state in a step whose start state y_k is a trial function, and a function
+        that tells whether the start was read."""
         step, layout = self.step, self.step.layout
         trial = dict(zip(layout.names, layout.space.TrialFunction(), strict=True))
         components, weight = dict(zip(layout.names, self._others.components, strict=True)), self._weight
@@ -76,8 +76,9 @@ class Starts:
         return self.variations.of_sum(integrands)
 
     def put(self, weights: np.ndarray, states: Sequence[np.ndarray], number: int) -> None:
-        """Choose the state y by which derivatives are taken: ``number`` is its place among the start
-        ``states``, which have ``weights``.
+        """Choose the start state y by which derivatives are taken.
+
+        ``number`` is the place of y among the start states ``states``, which have the weights ``weights``.
 
         The step has to start from the weighted sum of the states.
         """
@@ -92,7 +93,7 @@ class Starts:
         self._other_momentum.vec.FV().NumPy()[:] = remaining
 
     def transposed(self, rows: np.ndarray) -> np.ndarray:
-        """Products of R_y^T with each of ``rows``, (numbers, unknowns); ``put`` chooses y.
+        """Products of R_y^T with each of ``rows``, (numbers, unknowns), for the y that ``put`` chose.
 
         Before the call the step has to be set up for the stage, with the stage's solution as the present
         state.
@@ -136,8 +137,11 @@ class Starts:
         return form, dependent
 
     def through_functions(self, slope: np.ndarray) -> np.ndarray:
-        """The slope by the independent unknowns alone, at the present state, if dependent unknowns follow
-        them."""
+        """The slope by the independent unknowns, at the present state.
+
+        ``slope`` is by all unknowns.  The result includes the change of dependent unknowns, which are
+        functions of the independent unknowns.
+        """
         form, dependent = self._functions
         if not slope[dependent].any():
             return slope

@@ -41,18 +41,19 @@ class Neighbours:
         """Derivative of the start values, (unknowns,)."""
 
     def derivative(self, values: Sequence[np.ndarray]) -> np.ndarray:
-        """Derivative by the parameter, from a difference of the followers' ``values``."""
+        """Derivative by the parameter: a difference of the followers' ``values``."""
         return differenced(values, self.parameter.spacing)
 
     def freeze(self, base: Follower, state: np.ndarray, stage: Stage | None = None) -> None:
-        """Let the followers read extrema at the points where the run's extrema are in the given state."""
+        """Let the followers read extrema at fixed points: the points at which ``base`` has its extrema in
+        ``state``."""
         if base.columns.extrema.names:
             base.at(state, stage)
             for follower in self.followers:
                 follower.columns.extrema.places = base.columns.extrema.found()
 
     def at(self, state: np.ndarray) -> list[Follower]:
-        """The followers, all set to one state."""
+        """The followers, after ``state`` has become the present state of each."""
         for follower in self.followers:
             follower.at(state)
         return self.followers
@@ -137,7 +138,8 @@ def _row(
     runs: Sequence[_Tangent],
     require_going_on: Callable[[], None],
 ) -> dict[str, np.ndarray]:
-    """Derivatives of the columns at the end of a step and of their means over it, (columns, parameters)."""
+    """Derivatives of the columns at the end of a step, and of their means over the step, (columns,
+    parameters) each."""
     states = [base.evolved(recorded.state)]
     for run in runs:
         run.start(recorded.state)
@@ -178,7 +180,7 @@ class _Tangent:
         return self._columns_at(first.state)
 
     def _columns_at(self, state: np.ndarray) -> np.ndarray:
-        """Derivatives of the columns at a state; the start of each follower's step has to be set before."""
+        """Derivatives of the columns at a state.  The start of each follower's step has to be set before."""
         if not self.near.followers[0].columns.has_ends:
             return np.zeros(len(self.near.followers[0].columns.names))
         moved = self.near.moved(state, self.along)
@@ -197,8 +199,10 @@ class _Tangent:
         self._mean = np.zeros(len(self.near.followers[0].columns.names))
 
     def stage(self, stage: Stage, linearised: Linearised, is_read: bool) -> None:
-        """Advance by a stage, R_u factorised; ``is_read`` tells whether a later stage or end reads this
-        stage."""
+        """Advance by a stage, for which ``linearised`` has factorised R_u.
+
+        ``is_read`` tells whether a later stage or the end reads the solution of this stage.
+        """
         residuals = []
         for follower, states in zip(self.near.followers, self._states, strict=True):
             follower.pose(stage, states)

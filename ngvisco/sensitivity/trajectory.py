@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 class Stage:
     """A solved Rothe step of a run.
 
-    ``state`` has the coefficients of its solution, ``starts`` the weights of the states y_0, y_1, ... in its
-    start value, and ``share`` is the scheme's b_i.  Flow rules are linearised at ``stresses``.
+    ``state`` has the coefficients of the solution. ``starts`` are the weights of the states y_0, y_1, ... in
+    the step's start value, and ``share`` is the scheme's b_i.  Flow rules are linearised at ``stresses``.
     """
 
     state: np.ndarray
@@ -63,8 +63,8 @@ class RecordedStep:
     def distances(self) -> list[tuple[float, int, int]]:
         """Weights c, k, i of the distances c B(y_k, y_i) in the scheme's dissipation.
 
-        Here i is the number of a stage, and k the number of a stage, 0 for the start y_0, or one more than
-        the last stage's number for the combined end.
+        Here i is the number of a stage. The number k is 0 for the start y_0, the number of a stage, or, for
+        the combined end, one more than the last stage's number.
         """
         of_end = np.zeros(len(self.weights)) if self.ends_at_stage else self.weights
         result, last = [], len(self.stages)
@@ -85,8 +85,10 @@ class RecordedStep:
 
     @property
     def ends_at_stage(self) -> bool:
-        """Whether the end is the last stage's solution, including the walls' velocities; the limiter's change
-        does not count."""
+        """Whether the end is the last stage's solution, including the walls' velocities.
+
+        The limiter's change of the end does not count.
+        """
         return bool(np.count_nonzero(self.weights) == 1 and self.weights[-1] == 1.0)
 
 
@@ -184,23 +186,26 @@ class Trajectory:
             raise StopRequested(f"the derivatives of the run were stopped, as requested{after}")
 
     def keep(self, name: str, number: int, arrays: Mapping[str, np.ndarray]) -> None:
-        """Store arrays of the derivatives, and the number of steps that they belong to, in the restart
-        folder, if there is one."""
+        """Store arrays of the derivatives, and the number of steps to which the arrays belong.
+
+        Without a restart folder nothing is stored.
+        """
         if self.restart is not None:
             self.restart.keep(name, {"number": number}, arrays)
 
     def kept(self, name: str) -> tuple[int, dict[str, np.ndarray]] | None:
-        """The number and the arrays that ``keep`` stored last under a name; None without them."""
+        """The number and the arrays that ``keep`` stored last under ``name``; None if nothing is stored."""
         part = None if self.restart is None else self.restart.read(name)
         return None if part is None else (int(part[0]["number"]), part[1])
 
     def require_kept(self, name: str) -> dict[str, np.ndarray]:
-        """Arrays that ``keep`` stored under a name."""
+        """The arrays that ``keep`` stored last under ``name``."""
         assert self.restart is not None
         return self.restart.require(name)[1]
 
     def _take_up(self, path: Path) -> None:
-        """Continue after the last checkpoint in the file ``path``, with the steps before this checkpoint."""
+        """Continue after the last checkpoint in the file ``path``, and read the steps before this
+        checkpoint."""
         assert self.restart is not None
         before = self.simulation.number
         self.simulation.restore(path)
@@ -213,7 +218,7 @@ class Trajectory:
     # methods that the integrator calls
 
     def begin(self) -> None:
-        """Begin a step, or repeat it."""
+        """Begin a step, or begin it again after a failure."""
         self._begin()
 
     def stage(self, weights: np.ndarray, share: float) -> None:
@@ -246,7 +251,7 @@ _RUN, _EVERY = "run", 10
 
 
 def _name(number: int) -> str:
-    """The part of a step."""
+    """Name of the part of the restart folder that holds step ``number``."""
     return f"step-{number:08d}"
 
 

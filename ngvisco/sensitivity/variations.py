@@ -63,11 +63,12 @@ class Variations:
         """Coefficients to which the trial functions times ``weight`` are added, (unknowns,), as a view."""
 
     def of(self, integrand: Integrand, prepare: Callable[[], None] = lambda: None) -> Slope:
-        """Slope of an integral by the step's rules; ``prepare`` updates functions in the integrand first."""
+        """Slope of an integral, which has the step's quadrature rules.  ``prepare`` is called first, and
+        updates functions in the integrand."""
         return self.of_sum([integrand], prepare)
 
     def of_sum(self, integrands: Iterable[Integrand], prepare: Callable[[], None] = lambda: None) -> Slope:
-        """Slope of a sum of integrals; summands are differentiated one by one."""
+        """Slope of a sum of integrals, whose summands are differentiated one by one."""
         quadrature, form = self.step.quadrature, BilinearForm(self.space)
         for integrand in integrands:
             for part, integral in (
@@ -98,7 +99,7 @@ class Variations:
     def of_integrands(
         self, make: Callable[[Fields], Mapping[str, list[Integrand]]], names: Sequence[str]
     ) -> dict[str, Slope]:
-        """Slopes, by name, of the sums of integrals that ``make`` returns for the fields of a state."""
+        """Slopes of sums of integrals, by name.  ``make`` returns the summands for the fields of a state."""
         present = {} if self.step.energy.projected is None else make(self.step.now)
         of_trial = make(self.trial)
         return {name: self._with_energy(of_trial[name], present.get(name, [])) for name in names}

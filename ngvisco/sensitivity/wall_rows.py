@@ -12,7 +12,7 @@ from ngvisco.sensitivity.follower import Follower
 
 
 class WallRows:
-    """Weights c with which columns contain rows of the residual, c . R(u; .), and the products R_u^T c.
+    """Weights c of the residual's rows in columns, c . R(u; .), and the products R_u^T c.
 
     The weights of the rows are (numbers, unknowns); they follow from the weights of the columns in the
     numbers, (numbers, columns).  A force has constant c; the power of a moving wall has c = v on the wall.
@@ -26,7 +26,7 @@ class WallRows:
         self.forces: dict[str, np.ndarray] = {}
         """Constant weights of the rows of a force or an impulse, (unknowns,)."""
         self.ends: dict[str, np.ndarray] = {}
-        """Constant weights at a combined end where they differ from those at a stage, (unknowns,)."""
+        """Constant weights at a combined end, if they differ from the weights at a stage, (unknowns,)."""
         self.powers: dict[str, np.ndarray] = {}
         """Masks of a moving wall's rows, (unknowns,)."""
         for table in follower.columns.tables:
@@ -71,14 +71,15 @@ class WallRows:
         return result
 
     def of_velocity(self, of_columns: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Weights of moving walls' rows from ``values`` of v, or slopes by v from ``values`` of the rows."""
+        """Weights of moving walls' rows if ``values`` are those of v, or slopes by v if ``values`` are those
+        of the rows."""
         result = np.zeros((len(of_columns), len(values)))
         for name, mask in self.powers.items():
             result += np.outer(of_columns[:, self.names.index(name)], np.where(mask, values, 0.0))
         return result
 
     def slopes(self, of_columns: np.ndarray, c: np.ndarray) -> np.ndarray:
-        """Slopes of c . R by the present state, the solution of the posed stage, with weights ``c``."""
+        """Slopes of c . R by the present state, which has to be the solution of the posed stage."""
         if not c.any():
             return np.zeros_like(c)
         state = self.follower.step.state.vec

@@ -268,8 +268,10 @@ class Newton:
         return self.norm(self._next, self.state), contraction
 
     def _set_increment(self, problem: Problem, fresh: bool) -> None:
-        """Compute the increment of the present residual; if ``fresh``, with a Jacobian at the present
-        state."""
+        """Compute the increment of the present residual.
+
+        If ``fresh`` is True, the Jacobian is assembled at the present state first.
+        """
         if fresh:
             self._factorise(problem, self._residual)
         self.jacobian.solve(self._residual, self._increment)

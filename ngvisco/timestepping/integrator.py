@@ -102,8 +102,8 @@ class Integrator:
 
     ``meter`` returns dissipations and powers at the present state, W, by ledger columns; ``bounds`` limits
     ends of steps if its ``limits`` is true.  The first ``startup`` steps of the run use the backward Euler
-    scheme, which damps rough initial data (Rannacher).  If ``relaxed``, a midpoint step ends where the
-    numerical remainder R is zero, to the rounding of the energies, so that its length differs from the
+    scheme, which damps rough initial data (Rannacher).  If ``relaxed`` is True, a midpoint step ends where
+    the numerical remainder R is zero, to the rounding of the energies, so that its length differs from the
     requested one.
     """
 
@@ -142,7 +142,7 @@ class Integrator:
     def advance(self, t: float, tau: float, number: int = 0, meets: bool = False) -> StepTaken:
         """Take the step that follows step ``number``, from ``t`` over ``tau``, s.
 
-        A relaxed step ends at t + tau only if it ``meets`` a given time.
+        A relaxed step ends at t + tau only if ``meets`` is True.
 
         Raises StepError if a stage is not solved or the end is not admissible; the state before the step is
         then restored.
@@ -242,11 +242,11 @@ class Integrator:
     ) -> tuple[Evolved, int, dict[str, float]]:
         """Set the present state to the limited combination of states, at time ``t``.
 
-        The power of the walls' impulse is added to the walls' power in ``rates``.  If ``is_stage``, the
-        combination is the last stage and only the limiter changes it; walls keep their velocity in the step.
-        Raises StepError if the state is not admissible.  Returns the state, the number of limited cells, and
-        two energies, J: the one lost by limiting, -E'(U)[u - u_1], and minus the work of the impulse that
-        limiting makes on walls' rows of v.
+        The power of the walls' impulse is added to the walls' power in ``rates``.  If ``is_stage`` is True,
+        the combination is the last stage, and only the limiter changes it; walls keep their velocity in the
+        step. Raises StepError if the state is not admissible.  Returns the state, the number of limited
+        cells, and two energies, J: the one lost by limiting, -E'(U)[u - u_1], and minus the work of the
+        impulse that limiting makes on walls' rows of v.
         """
         step, ranges = self.step, self.step.layout.ranges
         step.start_from(list(zip(weights, states, strict=True)))  # combines the momentum and the fields
@@ -334,7 +334,8 @@ class Integrator:
         """Set the state u_0 + omega (U - u_0) with R = 0.  Return omega, R and the limiter's energies by
         columns, rates, and the number of limited cells.
 
-        Omega is ``wanted`` if R is at rounding there too, and 2 if B(u_0, U) is at rounding.
+        Omega is ``share`` if R is at rounding there too, or if the limiter takes energy. Omega is 2 if B(u_0,
+        U) is at rounding, and if ``share`` is None while the limiter takes energy.
         """
         from_start = self.distance(*states)
         distance, noise = sum(from_start.values()), self._noise(states[0])

@@ -187,8 +187,8 @@ class VelocityOfMomentum:
     def __call__(self, keeps_walls: bool = False) -> np.ndarray:
         """Solve; return the rows int rho v . w - <m, w>, (unknowns of v,), which are zero except at walls.
 
-        On walls with multipliers v.n is the value prescribed at the present time, or that of the state
-        (``keeps_walls``).
+        On walls with multipliers v.n is the value prescribed at the present time. If ``keeps_walls`` is True,
+        v.n is the value of the state instead.
 
         The rows are summed over this rank's cells only.  Raises StepError if the linear system is not solved
         to rounding.

@@ -76,7 +76,7 @@ def starting_fractions(mesh: Mesh, bodies: Sequence[Body], order: int) -> StartV
 def values_of_bodies(
     step: Step, material: Mixture, shares: StartValues, distortions: Given, given: Given, sampler: Sampler
 ) -> StartValues:
-    """Amounts and tensors of bodies that follow from ``distortions``, without those that are ``given``.
+    """Amounts and tensors of bodies that follow from ``distortions``, without those in ``given``.
 
     Raises InitialDataError for a given tensor in cells without its body. With sharp interfaces, a given
     tensor whose determinant does not follow from the distortion is refused, too.

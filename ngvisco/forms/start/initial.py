@@ -379,7 +379,7 @@ def _check_density(
 def _check_spaces(step: Step, given: Given, values: Given, sampler: Sampler) -> None:
     """Raise InitialDataError if a tensor has entries outside the space of its variable.
 
-    Values that are not ``given`` by name follow from F.
+    Variables without a value in ``given`` follow from F.
     """
     for variable in step.model.material.variables:
         space = tensor_space(variable.kind, step.mesh.dim)

@@ -94,8 +94,8 @@ class Heating(_OfEntropy):
     def _rows(
         self, u: Fields, w: Fields, where: PointRule, further: Mapping[str, CoefficientFunction]
     ) -> Sequence[CoefficientFunction]:
-        """Rows of the entropy equation by the dissipation and the heat ``further``; ``where`` names the
-        cells, the facets or the collocation points."""
+        """Rows of the entropy equation: the dissipation and the heat in ``further``, times the test function.
+        ``where`` names the cells, the facets or the collocation points."""
         heat = [*dissipations(u, self, where).values(), *further.values()]
         return [-(reduce(add, heat) * self.chi(u, w))] if heat else []
 

@@ -63,8 +63,9 @@ def prony_network(
     Parameters
     ----------
     material : Material
-        Material whose moduli ``of`` explains: ``LinearElastic``, ``HardeningElastic``, ``OldroydB``,
-        ``FENEP``, ``ReferentialNeoHookean``, ``IsochoricNeoHookean`` or ``ReferentialMooneyRivlin``.
+        Material whose modulus is the one that ``of`` names: ``LinearElastic``, ``HardeningElastic``,
+        ``OldroydB``, ``FENEP``, ``ReferentialNeoHookean``, ``IsochoricNeoHookean`` or
+        ``ReferentialMooneyRivlin``.
     prony : array
         Rows of a share g_i > 0 and a relaxation time tau_i > 0 at theta_R; ``read_prony`` reads the rows
         from a file, which a case file names by { file = "table.csv" }.

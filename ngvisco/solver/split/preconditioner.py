@@ -247,8 +247,10 @@ class Preconditioner:
         self.solver.factorise(self.operator.tangent(at, self.hyper_tangent, kind))
 
     def linearise(self, at: Evaluation, everything: bool) -> None:
-        """Linearise the operator at an evaluation: unless ``everything``, only the hyperviscosity and a
-        nonlinear density equation."""
+        """Linearise the operator at an evaluation.
+
+        If ``everything`` is False, only the hyperviscosity and a nonlinear density equation are linearised.
+        """
         self.operator.update(at, everything)
         if everything:
             self.fields.renew()
