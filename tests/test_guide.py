@@ -87,7 +87,8 @@ def test_recipes_code_has_the_projects_style(tmp_path):
     shutil.copy(ROOT / "pyproject.toml", tmp_path)
     for recipe in RECIPES:
         for i, (what, _, text) in enumerate(blocks(recipe)):
-            if what != "change" and not text.startswith("title"):  # a case file
+            # a text that begins with "title" is a case file
+            if what != "change" and not text.startswith("title"):
                 (tmp_path / f"{recipe}_{i}.py").write_text(text)
     for command in (("check", "--ignore=RUF001,RUF002,RUF003,SIM115,E402"), ("format", "--diff")):
         result = subprocess.run(

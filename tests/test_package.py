@@ -110,7 +110,7 @@ def test_api_pages_are_made_by_the_printed_command(pages, tmp_path):
         assert all(word in text for word in has), name
 
 
-def test_top_level_is_the_agreed_one():
+def test_top_level_of_the_repository_has_the_agreed_entries():
     tracked = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True).stdout.split()
     agreed = {"pyproject.toml", "ngvisco", "geometries", "tests", "demos", "README.md", "LICENSE"}
     assert {p.split("/")[0] for p in tracked if not p.startswith(".")} <= agreed

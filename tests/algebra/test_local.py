@@ -73,7 +73,7 @@ def test_squares_of_blocks_are_sums_over_points(bent):
     assert np.abs(found - expected).max() <= 1e-12 * np.abs(expected).max()
 
 
-def test_a_rank_without_cells_has_blocks_of_no_size():
+def test_a_rank_without_cells_has_empty_blocks():
     local = LocalMatrix(sp.csr_matrix((0, WIDTH)), 0, np.zeros(0), pieces=PIECES)
     assert local(np.ones((2, WIDTH))).shape == (2, 0) and local.test(np.zeros((2, 0))).shape == (2, WIDTH)
 

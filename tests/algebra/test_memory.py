@@ -28,7 +28,7 @@ print(libc.mallinfo2().hblks - before)
 @pytest.mark.skipif(
     sys.platform != "linux" or not hasattr(ctypes.CDLL(None), "mallinfo2"), reason="not the GNU C library"
 )
-def test_a_block_is_mapped_by_itself_after_a_larger_one_was_freed():
+def test_a_large_block_has_a_memory_map_of_its_own_after_a_larger_block_was_freed():
     """The test has its own process, because blocks that fit a heap's free memory are taken from the heap."""
     command = [sys.executable, "-c", PROGRAM, memory.__file__]
     result = subprocess.run(command, capture_output=True, text=True, check=True, env={})

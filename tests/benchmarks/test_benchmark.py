@@ -34,7 +34,7 @@ def test_the_workstation_table_has_rows_for_threads_and_for_a_lagrangian_method(
     assert one["kinetic"] == two["kinetic"] and one["directions"] == two["directions"] > 0
     if "failed" in other:
         assert "petsc4py" in other["failed"]
-    else:  # on 48 tetrahedra, where cells are half of the box
+    else:  # the mesh has 48 tetrahedra, and cells of half the box
         assert 0.8 <= other["kinetic"] / one["kinetic"] <= 1.1
     head, _, *lines = (tmp_path / "workstation.md").read_text().splitlines()
     assert all(line.count("|") == head.count("|") for line in lines)

@@ -88,4 +88,4 @@ def test_a_step_that_fails_on_a_later_mesh_leaves_the_steps_before(tmp_path, mon
         nv.case.run(case(tmp_path), tmp_path / "out")
     kept = {path.name for path in (tmp_path / "out").iterdir()}
     assert {"case.toml", "ledger.csv", "run.h5", "failed.txt"} <= kept
-    assert nv.load(tmp_path / "out").time > 0.2  # on the second mesh
+    assert nv.load(tmp_path / "out").time > 0.2  # the kept state is on the second mesh

@@ -165,7 +165,7 @@ def test_a_wrong_value_is_refused_with_its_place_in_the_file(text, message):
         case = parse_case(text, "case.toml", Path("."))
         case.simulation(case.mesh())
     assert message in str(caught.value)
-    said = str(caught.value).replace("Slip(True)", "")  # the name of a wall
+    said = str(caught.value).replace("Slip(True)", "")  # a wall has this text as its name
     assert not re.search(r" object at 0x|nv\.|\b[A-Z][a-z]\w*[(.]", said)
 
 
@@ -219,7 +219,7 @@ def test_a_message_about_a_case_writes_true_and_false_as_toml_does():
     assert in_case(caught.value) == "discretisation.sharp = 1: expected true or false"
 
 
-def test_a_pipe_is_no_case_file(tmp_path):
+def test_a_pipe_is_refused_as_a_case_file(tmp_path):
     os.mkfifo(tmp_path / "case.toml")
     found = []
 

@@ -232,7 +232,7 @@ def test_a_wrong_value_is_refused_under_its_key_or_runs(name, monkeypatch, tmp_p
 @pytest.mark.long
 @pytest.mark.ci
 @pytest.mark.parametrize("name", NAMES)
-def test_every_other_wrong_value_and_both_extremes_of_every_number(name, monkeypatch, tmp_path):
+def test_other_wrong_values_are_refused_and_extremes_of_numbers_may_run(name, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     swept(name, by_default=False)
 

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent))  # for the module ``command``
+sys.path.insert(0, str(Path(__file__).parent))  # tests import the module ``command`` from this folder
 
 import command as cli
 

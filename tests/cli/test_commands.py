@@ -141,7 +141,7 @@ def test_check_counts_steps_that_a_run_chooses_by_the_longest_one(case_file, cap
         assert re.search(pattern, printed), pattern
     each, whole, unit = re.search(r"estimate +(\S+) s a step, (\S+) (s|min) in all", printed).groups()
     first_and_others = float(whole) * {"s": 1, "min": 60}[unit] / float(each)
-    assert first_and_others > 15  # the time of twenty steps, and the additional time of the first step
+    assert first_and_others > 15  # the run has twenty steps; its first step takes longer
 
 
 @pytest.mark.filterwarnings("default::ngvisco.errors.InputWarning")
@@ -191,7 +191,7 @@ def test_version_and_help_are_printed(capsys):
     assert parser().prog == "ngvisco"
 
 
-def test_progress_bar_shows_time_energy_closure_and_what_is_left(capsys, case_file, tmp_path, monkeypatch):
+def test_progress_bar_shows_time_energy_closure_and_time_left(capsys, case_file, tmp_path, monkeypatch):
 
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
     assert ended("run", case_file, "-o", tmp_path / "out", "--set", "time.until=0.04") == 0

@@ -105,7 +105,7 @@ def test_an_unwritable_directory_is_named(place, case_file):
     assert code == BAD_FILE and place.split("/run")[0] in err
 
 
-def test_a_file_is_no_directory(case_file):
+def test_a_file_in_place_of_a_run_directory_is_refused(case_file):
     before = case_file.read_text()
     code, _, err = command("run", case_file, "-o", case_file)
     assert code == BAD_INPUT and "expected a directory" in err and case_file.read_text() == before
@@ -383,7 +383,7 @@ def test_a_step_without_solution_ends_with_its_reason(case_file, tmp_path):
     words = [word for setting in settings for word in ("--set", setting)]
     code, _, err = command("run", case_file, "-o", tmp_path / "out", "--quiet", *words)
     assert code == FAILED and "no step of at least dt_min = 0.02 s" in err and "estimated error" in err
-    assert rows(tmp_path / "out") == 2  # the first step has no estimate of its error
+    assert rows(tmp_path / "out") == 2  # the first step is accepted, since it has no estimate of its error
     log = (tmp_path / "out" / "log.txt").read_text()
     assert "rejected dt 0.02 s" in log and "ended: no step of at least dt_min" in log
     report = tmp_path / "out" / "failed.txt"

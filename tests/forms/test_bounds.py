@@ -98,7 +98,7 @@ def test_limiter_keeps_every_mean_and_restores_every_bound(name, m):
     assert bounds.violation(everywhere=True) is not None and bounds.violation() is None
     before, state, energy = means_of(step), step.state.vec.FV().NumPy().copy(), energies_of(step)
     assert 0 < bounds.limit() <= len(chosen)
-    lost = energy - energies_of(step)  # >= 0 in every cell, by Jensen's inequality
+    lost = energy - energies_of(step)  # the loss is >= 0 in every cell by Jensen's inequality
     assert lost.max() > 1e-6 and lost.min() >= -1e-14 * energy.max()
     assert bounds.violation(everywhere=True) is None and not bounds.is_exceeded()
     for name, means in means_of(step).items():

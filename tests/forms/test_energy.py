@@ -48,7 +48,8 @@ def mismatch(step: Step, *, refreshed: bool = True) -> float:
         step.local_unknowns.update_stored()
         return residual(form, step.state.vec)
 
-    difference = central_difference(shifted, 1e-6)  # smaller than the distance to the kinks of |v . n|
+    # the increment is smaller than the distance to the kinks of |v . n|
+    difference = central_difference(shifted, 1e-6)
     step.state.vec.data = base
     return float(np.abs(assembled - difference).max() / np.abs(difference).max())
 
@@ -57,7 +58,7 @@ def mismatch(step: Step, *, refreshed: bool = True) -> float:
     ("dim", "material", "k", "m"),
     [
         (2, NEO_HOOKEAN, 2, 1),
-        (2, REFERENTIAL, 3, 2),  # this degree is odd and not rounded up
+        (2, REFERENTIAL, 3, 2),  # the degree of the energy's rule is odd, and is not rounded up
         (3, NEO_HOOKEAN, 2, 0),
         (3, NEO_HOOKEAN, 2, 1),
     ],

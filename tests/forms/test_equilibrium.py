@@ -135,7 +135,8 @@ def test_layers_bodies_and_heat_start_in_equilibrium():
     warm = nv.Thermal(material=ROCK, c=1.0, theta_R=300.0, expansion=1e-3, rho_R=RHO)
     hot = at_rest(warm, temperature=300 + 50 * y)
     top, base = pressures(hot, 1.0, 0.0)
-    assert abs(top) < 0.1 and 0.93 * RHO < base < 1.05 * RHO  # smaller where the matter has expanded
+    # the pressure is smaller where matter has expanded
+    assert abs(top) < 0.1 and 0.93 * RHO < base < 1.05 * RHO
     assert speed(hot) < 1e-4
 
 

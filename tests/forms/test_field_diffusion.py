@@ -154,7 +154,7 @@ def test_the_diffused_slope_is_grad_z_with_the_paper_s_power(m):
         exact = CF((T.Diff(x), T.Diff(y)))
         error = diffusion.step.now.z_slope.Reshape((2,)) - exact
         slopes.append(Integrate(error * error, mesh, order=8) ** 0.5)
-        curvature = 10.0 * 1.4 * 2.4 * T ** (-3.4)  # phi = B J^-gamma
+        curvature = 10.0 * 1.4 * 2.4 * T ** (-3.4)  # the second derivative of phi = B J^-gamma
         powers.append(abs(power - DELTA * Integrate(curvature * exact * exact, mesh, order=10)))
     assert np.log2(slopes[1] / slopes[2]) > m - 0.2
     assert np.log2(powers[1] / powers[2]) > 2 * m - 0.4

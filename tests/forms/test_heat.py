@@ -61,7 +61,7 @@ BREAKING = nv.Damaged(material=SOLID.material, G_c=0.4, length=1.0, viscosity=0.
 YIELDING = nv.Perzyna(sigma_Y=0.1, G_m=1.0)
 
 
-@pytest.mark.filterwarnings("ignore:.*no longer belong to one distortion")  # four cells
+@pytest.mark.filterwarnings("ignore:.*no longer belong to one distortion")  # with four cells, F and J differ
 @pytest.mark.parametrize("kind", others_by_ci(CLOSED, "euler"))
 def test_a_closed_box_keeps_its_energy_and_gains_entropy_in_both_solvers(kind):
     """Creep beyond a yield stress, growing damage and friction at a wall dissipate. The energy is kept to the
@@ -87,14 +87,15 @@ def test_a_closed_box_keeps_its_energy_and_gains_entropy_in_both_solvers(kind):
         entropy = ledger.column("entropy")
         assert (np.diff(entropy) > 0).all() and (produced(ledger) >= 0).all()
         assert np.diff(entropy) == pytest.approx(dt[1:] * produced(ledger).sum(axis=0), rel=1e-10)
-        assert len(produced(ledger)) == len(names) + numerical + 1  # one more for conduction
+        assert len(produced(ledger)) == len(names) + numerical + 1  # conduction also produces entropy
         found.append([ledger.column(name)[-1] for name in ("kinetic", "stored", "entropy", *sorted(names))])
     assert found[0] == pytest.approx(found[1], rel=1e-8)
 
 
 @pytest.mark.long
 @pytest.mark.ci
-@pytest.mark.filterwarnings("ignore:.*no longer belong to one distortion")  # twelve cells
+# with twelve cells, F and J differ
+@pytest.mark.filterwarnings("ignore:.*no longer belong to one distortion")
 def test_both_solvers_keep_the_energy_and_agree_with_a_tensor_in_three_dimensions():
     heat, found = nv.Heat(conductivity=np.diag([0.05, 0.02, 0.1]), numerical_heating=True), []
     start = nv.Initial(density=1.0, velocity=CF((*SWIRL, 0.0)), temperature=1 + 0.2 * x)
@@ -225,7 +226,7 @@ def test_a_mechanism_that_takes_entropy_away_is_warned_of_by_name():
         pytest.warns(EntropyWarning, match=r"entropy_production_feeding is -.*its law produces energy"),
     ):
         ledger = run_of("coupled", laws={"viscosity": VISCOSITY}, terms=[Feeding()]).ledger
-    assert abs(ledger.column("closure_relative")).max() <= 1e-10  # the ledger closes with the fault, too
+    assert abs(ledger.column("closure_relative")).max() <= 1e-10  # the closure does not show this fault
 
 
 def test_an_entropy_of_zero_is_judged_by_its_rounding():
@@ -246,7 +247,7 @@ def test_an_entropy_of_zero_is_judged_by_its_rounding():
     with warnings.catch_warnings():
         warnings.simplefilter("error", EntropyWarning)
         run.run(0.05)
-    assert 0 < -min(run.ledger.column(PRODUCTION + "upwinding")) < 1e-12  # the rounding of heat over a step
+    assert 0 < -min(run.ledger.column(PRODUCTION + "upwinding")) < 1e-12  # heat has this rounding in a step
 
 
 @pytest.mark.filterwarnings("ignore:.*of the present momentum")
@@ -277,7 +278,7 @@ def test_a_huge_heat_transfer_coefficient_is_judged_by_the_rounding_of_its_excha
         f"power_heat_{name}" for name in walls
     }
     power = run.ledger.column("power_heat_left")[-1]
-    assert power == pytest.approx(50.0 * 1e4 * 0.01, rel=1e-2)  # W/m
+    assert power == pytest.approx(50.0 * 1e4 * 0.01, rel=1e-2)  # the power is in W/m
 
 
 def test_the_dissipation_of_field_diffusion_becomes_heat_in_the_coupled_solver():
@@ -306,7 +307,7 @@ def test_an_energy_of_the_user_s_own_has_a_temperature_that_rises(curvature, sai
         run_of("coupled", material=own, laws={}, temperature=None, steps=0)
 
 
-def test_heat_of_a_wall_that_nothing_conducts_is_warned_of():
+def test_a_heat_flux_through_a_wall_without_conductivity_is_warned_of():
     walls = {"left": nv.Slip(heat=nv.WallHeat(flux=1.0))}
     with pytest.warns(nv.InputWarning, match=r"walls\['left'\]\.heat: without a conductivity"):
         run_of("coupled", walls=walls, steps=0)
@@ -363,7 +364,8 @@ def test_bodies_keep_their_energy_and_gain_entropy_in_both_solvers(kind, other):
             newton=nv.NewtonOptions(tolerance=tolerance),
         )
         before = run.fields["temperature"]
-        exact = 1e-12 if numerical else 1e-2  # shared cells have another pressure
+        # cells that both bodies share have another pressure
+        exact = 1e-12 if numerical else 1e-2
         assert [before(run.mesh(at, 0.3)) for at in (0.1, 0.9)] == pytest.approx([1.2, 1.2], rel=exact)
         ledger = run.run(0.1)
         dt = ledger.column("dt")
@@ -394,7 +396,7 @@ def test_a_heated_body_becomes_warmer_than_the_other_body():
     assert np.diff(energy(ledger)) == pytest.approx(0.05 * ledger.column("power_heat_source")[1:], rel=1e-9)
     theta = run.fields["temperature"]
     warmed = [theta(run.mesh(at, 0.5)) for at in (0.05, 0.95)]
-    assert warmed == pytest.approx([1.0, 1.1], rel=1e-3)  # fractions in cells that both bodies share
+    assert warmed == pytest.approx([1.0, 1.1], rel=1e-3)  # the tolerance is for cells that both bodies share
 
 
 @pytest.mark.parametrize("solver", ["coupled", "split"])
@@ -407,7 +409,7 @@ def test_friction_shares_its_heat_with_the_wall(solver):
     assert lost[1:] == pytest.approx(
         (1 - share) * ledger.column("dissipation_friction_bottom")[1:], rel=1e-12
     )
-    # 3e-12 of the energy, some tolerances of the solver
+    # 1e-11 J is 3e-12 of the energy, which is some tolerances of the solver
     assert np.diff(energy(ledger)) == pytest.approx(-0.05 * lost[1:], rel=1e-8, abs=1e-11)
     kept = produced(ledger).sum(axis=0) + ledger.column("entropy_supply_friction_bottom")[1:]
     assert np.diff(ledger.column("entropy")) == pytest.approx(0.05 * kept, rel=1e-9)

@@ -68,7 +68,7 @@ def test_continuity_conserves_mass_for_any_state(case: Case) -> None:
     old, now = (step.quadrature.integrate_cells(f.rho) for f in (step.old, step.now))
     tau = step.context.tau.Get()
     assert rate == pytest.approx((now - old) / tau, abs=1e-13)
-    assert abs(now - old) > 1e-4  # the storage term is not zero for another reason
+    assert abs(now - old) > 1e-4  # the storage term is not zero in itself
 
 
 @by_case
@@ -81,7 +81,7 @@ def test_convection_is_powerless(case: Case) -> None:
 
 
 @by_case
-def test_inertia_returns_kinetic_energy_and_its_remainder(case: Case) -> None:
+def test_the_power_of_inertia_is_the_change_of_kinetic_energy_plus_a_remainder(case: Case) -> None:
     """If m_old = rho_old v_old, tau <R, v> = kinetic - kinetic_old + 1/2 int rho_old |v - v_old|^2."""
     step = step_of(case)
     randomise(step, 3)
@@ -139,8 +139,8 @@ def test_creep_does_not_change_the_jacobian(case: Case) -> None:
     creep = block(step, powers(step, power), "z")
     assert [v.name for v in step.model.material.variables] == ["F", "J"]
     per_component = creep.reshape(-1, creep.size // step.now.z.dim)
-    assert np.abs(per_component[:-1]).max() > 1e-3  # F
-    assert np.abs(per_component[-1]).max() == 0  # J, the last component
+    assert np.abs(per_component[:-1]).max() > 1e-3  # F creeps
+    assert np.abs(per_component[-1]).max() == 0  # J, the last component, does not creep
 
 
 def elastic_rows(case: Case, values: dict) -> tuple[Step, np.ndarray]:

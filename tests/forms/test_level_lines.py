@@ -62,7 +62,7 @@ def test_lines_of_a_linear_distance_are_planes(rng):
     exact = np.stack([share_above(np.column_stack([heights, heights[:, c]])) for c in range(3)], axis=1)
     assert np.sort(projected, axis=1) == pytest.approx(np.sort(exact, axis=1), abs=1e-5)
     whole = np.repeat(np.eye(3)[None], len(cells), axis=0)
-    strip = lines.shares(whole[:, [1, 2]], whole[:, [0, 0]])  # the whole cell
+    strip = lines.shares(whole[:, [1, 2]], whole[:, [0, 0]])  # the strip is the whole cell
     assert strip == pytest.approx(theta, abs=1e-5)
 
 

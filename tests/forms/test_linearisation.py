@@ -50,7 +50,7 @@ def mismatch(step: Step, parts: list[Integrand], seed: int) -> float:
 
 
 @pytest.mark.parametrize("case", [*CASES[:-1], by_ci(CASES[-1])], ids=str)
-def test_linearisation_of_the_whole_residual_is_its_difference(case: Case) -> None:
+def test_linearisation_of_the_whole_residual_equals_its_central_difference(case: Case) -> None:
     step = step_of(case)
     parts = [part for term in step.terms for part in integrands(step, term)]
     # some differences may extend over a kink of |v . n|
@@ -75,6 +75,6 @@ def test_linearisation_at_rest_is_finite(case: Case) -> None:
     """Velocity and Hessian are zero; powers and roots of zero must not give NaN."""
     step = step_of(case)
     randomise(step, size=0.0)
-    step.local_unknowns.update()  # |Hs|^2 = 0 exactly
+    step.local_unknowns.update()  # |Hs|^2 becomes exactly 0
     applied = jacobian_times(uncondensed(step), step.state.vec, random_direction(step))
     assert np.all(np.isfinite(applied)) and np.abs(applied).max() > 0

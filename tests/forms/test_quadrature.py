@@ -46,7 +46,7 @@ def test_both_sides_of_a_face_see_the_same_points(k: int, m: int) -> None:
 
 def test_integrands_are_interpreted_by_default(monkeypatch):
     monkeypatch.delenv(VARIABLE, raising=False)
-    monkeypatch.setenv("PATH", "/nowhere")  # nothing is compiled
+    monkeypatch.setenv("PATH", "/nowhere")  # there is no compiler, so that nothing is compiled
     mesh = Mesh(unit_square.GenerateMesh(maxh=0.5))
     assert Integrate(compiled(x * y), mesh) == pytest.approx(0.25)
 

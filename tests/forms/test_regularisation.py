@@ -167,7 +167,7 @@ def diffuse(quantity, maxh, dt, until, m=1):
     )
     run.run(until)
     steps = round(until / dt)
-    decay = (1 / (1 + 2 * pi**2 * D * dt)) ** steps  # implicit Euler's own decay of the mode
+    decay = (1 / (1 + 2 * pi**2 * D * dt)) ** steps  # the mode decays by this factor in implicit Euler steps
     field = run.fields["density" if quantity == "density" else "J"]
     return Integrate((field - 1 - 0.3 * decay * profile) ** 2, mesh, order=8) ** 0.5
 
@@ -233,7 +233,7 @@ def test_a_facet_has_one_upstream_side_also_with_a_cut_off_density(flow):
     parts["rho_hat"].vec.FV().NumPy()[:] = law.rising(CF(upstream))(at) + law.falling(CF(downstream))(at)
     rows = block(step, residual(form, step.state.vec), "rho_hat")
     assert rows[inner] == pytest.approx([0.0], abs=1e-14)
-    assert abs(rows).max() > 0.01  # on walls
+    assert abs(rows).max() > 0.01  # rows on walls are not zero
 
 
 def test_cut_off_stops_the_flow_of_dense_matter():

@@ -49,7 +49,7 @@ def smeared(material=LINEAR, mesh=None, symmetry="none"):
     sampler = Sampler(step.mesh, step.quadrature)
     set_initial(step, start, sampler)
     bounds = Bounds(step, sampler)
-    for _ in range(3):  # smooth: the mean of each cell and its neighbours
+    for _ in range(3):  # smooth by the mean of each cell and its neighbours
         z, by = step.state.vec.FV().NumPy()[step.layout.ranges["z"]], bounds.sharpening
         z = z.reshape(step.layout.states.size, -1)
         u = np.einsum("kcf,skf->skc", np.linalg.inv(by._inverse), z[:, by._basis])
@@ -146,7 +146,7 @@ def restored(material, factors):
 
 
 @pytest.mark.filterwarnings("ignore::ngvisco.InputWarning")  # B alone has a stress at rest
-def test_restored_determinants_are_the_power_of_the_volume():
+def test_restored_determinants_are_a_power_of_the_volume_ratio():
     """A variable B, not scaled by a power of J, gets det B = J^2 with J = 1/N. Tensors in the other tests
     have the determinant one."""
     material = nv.CustomMaterial(
@@ -301,7 +301,7 @@ def test_fractions_of_three_bodies_in_a_cell_are_bounded(dim, monkeypatch):
     u += 0.2 * (np.array([by._averaged(values, by._volumes) for values in u]) - by._means(u)[..., None])
     lacking = int(np.argmax(by._means(u)[by._amounts].min(axis=0)))
     taken = by._means(u)[by._amounts[0], lacking] + 0.02
-    u[by._amounts[0], lacking] -= taken  # taken from the cell that has most of all three bodies
+    u[by._amounts[0], lacking] -= taken  # the cell with most of all three bodies gives this amount
     u[by._amounts[2], lacking] += taken
     z[:, by._basis] = np.einsum("kfc,skc->skf", by._inverse, u)
     amounts = CF(tuple(step.now.z_tensors[name] for name in names))
@@ -321,7 +321,7 @@ def test_fractions_of_three_bodies_in_a_cell_are_bounded(dim, monkeypatch):
 
 
 @pytest.mark.parametrize("sign", [-1, 1])
-def test_the_sign_of_an_absent_body_does_not_matter(sign):
+def test_the_sign_of_an_absent_body_s_rounding_does_not_change_the_planes(sign):
     """Where a third body is absent up to rounding, a plane bounds the two other bodies, whatever sign the
     rounding has. With slopes bounded by this sign, every second interface was an even mixture."""
     both = {"material": LINEAR, "density": 1.0}
@@ -438,7 +438,7 @@ def test_a_run_closes_and_both_solvers_agree():
     assert np.abs(table("disc_mass") / table("disc_mass")[0] - 1).max() < 1e-12
 
 
-def test_a_run_in_space_goes_on_bit_for_bit(tmp_path):
+def test_a_three_dimensional_run_is_resumed_bit_for_bit(tmp_path):
     """The planes of a step follow from the state at its start, which a checkpoint contains."""
 
     def made():
@@ -521,7 +521,7 @@ def test_a_sharp_strip_moves_with_the_flow(scheme, monkeypatch):
 
 
 @pytest.mark.parametrize(("dt", "times"), [(0.0625, 0), (0.125, 1)])
-def test_steps_that_carry_an_interface_too_far_are_named_once(dt, times):
+def test_a_step_that_carries_an_interface_over_0_7_cell_heights_is_warned_of_once(dt, times):
     """The steps carry an interface over 0.5 and 1 of a cell's height; the limit is 0.7."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -531,7 +531,7 @@ def test_steps_that_carry_an_interface_too_far_are_named_once(dt, times):
     assert all("by 1 heights of a cell" in text and "Take dt or dt_max <= 0.079 s" in text for text in said)
 
 
-def test_cells_that_a_step_passes_stay_as_they_are():
+def test_matter_that_crosses_a_whole_cell_in_a_step_is_not_exchanged():
     """If a step carries a strip through a whole cell, the strip comes from a cell farther away, whose plane
     is not known. With an exchange by such strips, matter gathered in the small cells at the ends of a lid."""
     _, bounds = smeared()
@@ -568,13 +568,13 @@ def passed_through(sharp):
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_an_interface_that_moves_stays_as_wide_as_it_is():
+def test_a_moving_interface_keeps_its_width():
     """The disc passes through ten cells once. Without ``sharp``, the interface becomes 1.7 cells wide. With
     ``sharp``, the interface keeps its width, and the deformation D of the disc grows to 0.01."""
     plain, sharp = passed_through(False), passed_through(True)
     assert plain("disc_smeared")[-1] > 1.5 and 0.5 < sharp("disc_smeared")[-1] < 1.0
     assert sharp("disc_inside")[-1] == pytest.approx(np.pi / 16, rel=0.03)
-    assert 0.003 < sharp("disc_D")[-1] < 0.03  # 0.010 when the bounds were stated
+    assert 0.003 < sharp("disc_D")[-1] < 0.03  # D was 0.010 when the bounds were stated
 
 
 @pytest.mark.parametrize(
@@ -599,7 +599,7 @@ def test_models_that_sharp_would_not_conserve_are_refused_by_name(options, said)
         nv.Simulation(box((1, 1), 0.5), model, time=time, discretisation=discretisation)
 
 
-def test_sharp_is_true_or_false():
+def test_sharp_has_to_be_true_or_false():
     with pytest.raises(nv.ParameterError, match=r"Discretisation.sharp.*True or False"):
         nv.Discretisation(sharp=2)
 

@@ -36,8 +36,8 @@ def test_a_pressure_on_an_open_wall_pushes_inward(solver):
     np.testing.assert_allclose(force, (-0.3 + 0.1, 0.2), rtol=2e-3)
 
 
-def test_an_impedance_brakes_along_and_across_by_its_own_factors():
-    V = (2e-3, 1e-3)  # slow, so that little matter is carried through the wall
+def test_an_impedance_has_factors_for_the_normal_and_the_tangential_velocity():
+    V = (2e-3, 1e-3)  # V is small, so that little matter is carried through the wall
     wall = nv.Open(impedance=(2.0, 0.5))
     force, _ = pushed(wall, wall, V)
     np.testing.assert_allclose(force, (-2 * 2.0 * V[0], -2 * 0.5 * V[1]), rtol=0.05)
@@ -66,7 +66,7 @@ def test_inflow_brings_its_momentum():
 
 
 @pytest.mark.parametrize("load", ["gravity", "force", "central"])
-def test_loads_pull_where_they_point(load):
+def test_loads_accelerate_matter_in_their_direction(load):
     loads = {
         "gravity": (nv.Gravity((0.3, -0.2)), (3 * 0.3, 3 * -0.2)),
         "force": (nv.BodyForce((0.3, -0.2)), (0.3, -0.2)),
@@ -74,7 +74,7 @@ def test_loads_pull_where_they_point(load):
     }
     given, expected = loads[load]
     force, _ = pushed(nv.Open(), nv.Open(), density=3.0, model=nv.Model(material=SOLID, loads=[given]))
-    if expected is None:  # towards its centre
+    if expected is None:  # the load points towards its centre
         assert force[0] < -1.0
     else:
         np.testing.assert_allclose(force, expected, rtol=1e-3)
@@ -110,7 +110,7 @@ def test_the_pressure_that_laws_read_is_that_of_the_stress():
     run.rothe_step.local_unknowns.update()
     read = step.context.rates.pressure(step.now)
     J = 0.9 * 1.2
-    p = -10.0 * (J - 1)  # U = K/2 (J - 1)^2, T = U'(J) I + a trace-free part
+    p = -10.0 * (J - 1)  # p = -U'(J) with U = K/2 (J - 1)^2
     at = run.mesh(0.3, 0.4)
     assert run.fields["pressure"](at) == pytest.approx(p, rel=1e-10)
     assert read(at) == pytest.approx(p, rel=1e-10)

@@ -64,7 +64,7 @@ def test_balanced_walls_and_materials_without_stress_at_rest_bring_no_warning(st
         between(FREE[state], **wall)
     stiff = nv.NeoHookean(K_e=100.0, G_e=G, epsilon=EPSILON, elastic_state=state)
 
-    def stress(J):  # (J phi)' at F = J^(1/3) I
+    def stress(J):  # the mean stress (J phi)' at F = J^(1/3) I
         x = J - 1 + EPSILON / 100
         return 50 * x * x + 3 * G - EPSILON * math.log(J) + J * (100 * x - EPSILON / J)
 

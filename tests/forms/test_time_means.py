@@ -71,7 +71,8 @@ def test_a_moving_front_is_reported_as_unresolved():
     front = IfPos(x - 10 * T, 1.0, 0.0)
     found, error = mean(front)
     assert TOLERANCE < error < 0.02
-    assert abs(found - 0.3) <= 0.1  # a polynomial of third degree across jumps within a cell
+    # within a cell, a polynomial of third degree stands for a function with jumps
+    assert abs(found - 0.3) <= 0.1
 
 
 def test_a_table_of_time_is_read_from_a_file(tmp_path):

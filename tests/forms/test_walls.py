@@ -90,7 +90,7 @@ def test_one_name_for_walls_of_two_directions_is_not_axis_parallel() -> None:
 
 
 @pytest.mark.parametrize("kind", ["hexahedra", "prisms"])
-def test_cells_without_spaces_are_refused(kind) -> None:
+def test_cells_of_types_without_finite_element_spaces_are_refused(kind) -> None:
     mesh = MakeStructured3DMesh(hexes=kind == "hexahedra", prism=kind == "prisms", nx=1)
     with pytest.raises(MeshError, match=f"cells of the types {kind}; expected triangles"):
         check_mesh(mesh)
@@ -122,7 +122,7 @@ def test_an_inverted_tetrahedron_is_refused() -> None:
     netgen_mesh = MakeStructured3DMesh(hexes=False, nx=2, ny=2, nz=2).ngmesh
     inner = [p for p in netgen_mesh.Points() if max(abs(c - 0.5) for c in p.p) < 1e-9]
     assert len(inner) == 1
-    inner[0][0] = 1.4  # through the wall at x = 1
+    inner[0][0] = 1.4  # the vertex is moved through the wall at x = 1
     with pytest.raises(MeshError, match="cells on one side only"):
         check_mesh(Mesh(netgen_mesh))
 

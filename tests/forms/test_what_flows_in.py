@@ -47,7 +47,7 @@ def test_bodies_are_carried_through_a_window_and_keep_their_masses():
         disc, medium = (table.column(f"{name}_mass") for name in ("disc", "medium"))
         assert abs(disc / disc[0] - 1).max() < 1e-6  # the disc is far from the walls
         came = 0.02 * sum(ledger.column(f"inflow_{wall}") for wall in ("left", "right")).cumsum()
-        assert came[-1] > 0.005  # lower for a body on springs
+        assert came[-1] > 0.005  # the inflow is lower for a body on springs
         assert np.allclose(disc + medium - disc[0] - medium[0], came, atol=1e-12)
         moved = table.column("disc_x")[-1] - 0.5
         assert 0.08 < moved < 0.12
@@ -155,7 +155,7 @@ def test_unstrained_inflow_into_a_strained_body_exerts_no_thrust():
     walls = {name: nv.Open(pressure=-pull, backflow=False, **rest) for name in ("left", "right")}
     run = nv.Simulation(mesh, model, dt=1e-4, walls=walls, initial=initial)
     with pytest.warns(nv.InflowWarning, match="'left' with the given values of E has another stress"):
-        ledger, thrust = run.run(1e-4), 0.5 * 0.05 * pull * 0.7  # phi times the area
+        ledger, thrust = run.run(1e-4), 0.5 * 0.05 * pull * 0.7  # the thrust is phi times the area
     momentum = Integrate(run.fields["density"] * run.fields["velocity"][0], mesh)
     assert abs(momentum - 0.3 * 1.3 * 0.7) / 1e-4 < 0.01 * thrust
     assert ledger.column("dissipation_inflow_left")[-1] == pytest.approx(0.3 * thrust, rel=0.02)
@@ -202,7 +202,8 @@ def test_different_stresses_at_an_inlet_are_warned_of_in_slow_straining(given, r
         t = float(re.search(r"at t = (\S+) s ", message)[1])
         assert t == pytest.approx(2.0)  # a fifth of the mass is in after 1.8 s
         bar = 2 * 5.0 * (2 / 3) ** 0.5 * 4e-3
-        assert 0.75 * bar < difference < 1.02 * bar  # the whole stress, within the inlet's cell
+        # the difference is the whole stress, as far as the inlet's cell resolves it
+        assert 0.75 * bar < difference < 1.02 * bar
         assert difference == pytest.approx(size, rel=0.02)
         powers = [n for n in ledger.columns if n.startswith(("power_", "dissipation_")) and "stored" not in n]
         worked = sum(abs(ledger.column(name)) for name in powers)
@@ -281,7 +282,8 @@ def light_and_stiff(walls, viscosity, dim=2, maxh=0.4, densities=(2.0, 0.5), loa
     return nv.Simulation(box((1,) * dim, maxh), model, walls=walls, discretisation=orders, **options)
 
 
-@pytest.mark.filterwarnings("ignore::ngvisco.run.body_tables.SmearedWarning")  # in cells of the body's size
+# cells are as large as the body
+@pytest.mark.filterwarnings("ignore::ngvisco.run.body_tables.SmearedWarning")
 @pytest.mark.parametrize("solver", [by_ci("split"), "coupled"])
 def test_bodies_of_different_bulk_moduli_fly_out_through_a_window(solver):
     walls = {("left", "right"): nv.Open(backflow=False)}
@@ -490,7 +492,8 @@ def test_an_undetermined_inflow_density_is_warned_of_after_a_hundredth_of_the_ma
     share = np.cumsum([max(row["inflow_left"], 0.0) * row["dt"] / row["mass"] for row in rows])
     first = int(np.argmax(share > 0.01))
     assert 0 < share[first - 1] < 0.01
-    assert any(row["inflow_left"] * row["time"] > 0.01 * row["mass"] for row in rows[:first])  # too early
+    # the present rate times the time exceeds the limit before the integral does
+    assert any(row["inflow_left"] * row["time"] > 0.01 * row["mass"] for row in rows[:first])
     whole, resumed = Inlets(run.rothe_step), Inlets(run.rothe_step)
     said = [whole.message(row) for row in rows[: first + 1]]
     assert said[-1] and not any(said[:-1])
@@ -612,7 +615,7 @@ def test_a_piston_around_a_disc_or_a_ball_widens_it(dim, scheme, solver):
     area = Integrate(CF(1.0), mesh, BND, definedon=region)
     moved, v = run.fields["displacement_wall"], run.fields["velocity"]
     mean = [Integrate(f * n, mesh, BND, definedon=region) / area for f in (moved, v)]
-    # the velocity belongs to the middle of a step, or to its end
+    # the velocity is that in the middle of a step with backward Euler, and that at the end with other schemes
     wanted = V * (end - dt / 2 if scheme == "backward-euler" else end)
     assert mean == pytest.approx([V * end**2 / 2, wanted], rel=1e-3)
     power = ledger.column("dt") * ledger.column("power_wall_wall")
@@ -647,7 +650,8 @@ def test_each_piston_on_an_oblique_wall_has_its_own_power(velocities):
         initial=nv.Initial(velocity=(speed * along[0], speed * along[1])),
     )
     ledger = run.run(0.5)
-    force = 0.7 * (10 + 20 / 3) * 2e-3 * 0.5  # at the end of the step; the mean over the step is half
+    # the force at the end of the step; its mean over the step is half as large
+    force = 0.7 * (10 + 20 / 3) * 2e-3 * 0.5
     for name, V in zip(names, velocities, strict=True):
         if V:
             assert ledger.column(f"power_wall_{name}")[-1] == pytest.approx(V * force / 2, rel=2e-3)

@@ -78,7 +78,7 @@ def test_a_mesh_that_may_crash_netgen_is_made_in_another_process():
     from ngvisco.geometries import meshing
 
     with pytest.raises(MeshError, match="Netgen cannot mesh the shape"):
-        shape = Circle((0, 0), 1).Face() - Circle((0, 0), 2).Face()  # nothing is left
+        shape = Circle((0, 0), 1).Face() - Circle((0, 0), 2).Face()  # the larger circle leaves no shape
         meshing.try_shape("shape", shape, 2, 0.5)
 
 
@@ -162,7 +162,7 @@ $EndElements
 """
 
 
-def test_files_give_the_mesh_back(tmp_path):
+def test_meshes_and_shapes_are_read_from_files(tmp_path):
     mesh = g.box((1, 2), 0.5)
     mesh.ngmesh.Save(str(tmp_path / "box.vol"))
     loaded = g.load(tmp_path / "box.vol")

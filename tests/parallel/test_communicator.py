@@ -24,7 +24,7 @@ from ngvisco.words import words_of
         ValueError("other"),
     ],
 )
-def test_errors_are_the_same_in_other_processes(error):
+def test_errors_keep_type_message_and_attributes_in_other_processes(error):
     """Type, message and attributes are equal; a value that cannot be copied is left out."""
     if isinstance(error, ParameterError):
         error.value = lambda: None

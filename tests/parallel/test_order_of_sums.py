@@ -11,7 +11,7 @@ pytestmark = needs_petsc
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_a_step_in_space_and_interpolation_are_the_same_to_the_bit(monkeypatch):
+def test_a_three_dimensional_step_and_interpolation_do_not_depend_on_the_late_rank(monkeypatch):
     """Ledger and states before and after the step do not depend on the rank that is late, unless MUMPS runs
     over ranks."""
     monkeypatch.setenv("PETSC_OPTIONS", "-ngvisco_on_one_rank_up_to 100000")

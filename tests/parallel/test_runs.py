@@ -131,14 +131,17 @@ def assert_same_ledger(one, several, spare=0):
         row, other = ({**each, "newton_iterations": 0} for each in (row, other))
         for name, value in row.items():
             size = energy if name.startswith("closure") else max(abs(value), 1e-3)
-            size = 1.0 if name.startswith("defect_") else size  # differences of determinants about one
-            if "momentum" in name or name.startswith("impulse_"):  # exact relative to the momentum
+            # defects are differences of determinants near 1
+            size = 1.0 if name.startswith("defect_") else size
+            # these columns are exact relative to the momentum
+            if "momentum" in name or name.startswith("impulse_"):
                 size = max(size, row["momentum_size"])
-            if name == "limiter":  # a difference of stored energies
+            if name == "limiter":  # this column is a difference of stored energies
                 size = max(size, energy)
             if name == "dissipation_creep":  # directions of the slopes of fractions have few digits
                 size = max(size, row["stored"])
-            if name == "dissipation_upwinding":  # a square of jumps, whose errors are those of the fields
+            # this column is a square of jumps, whose errors are those of the fields
+            if name == "dissipation_upwinding":
                 size = max(size, math.sqrt(abs(value)))
             same = math.isnan(value) and math.isnan(other[name])
             assert same or abs(other[name] - value) <= 1e-10 * size, name
@@ -297,7 +300,7 @@ def test_a_run_goes_on_with_any_number_of_ranks(case_file, tmp_path, case):
     assert ngvisco("run", case_file, "-o", alone, "--quiet").returncode == 0
     begun = ngvisco("run", case_file, "-o", several, "--set", "time.until=0.02", ranks=3)
     assert begun.returncode == 0, begun.stderr
-    assert begun.stdout.count("finished: t = 0.02 s after 1 step") == 1  # the first rank speaks
+    assert begun.stdout.count("finished: t = 0.02 s after 1 step") == 1  # only the first rank prints
     assert "has 3 ranks" in (several / "log.txt").read_text()
     assert ngvisco("resume", several, "--until", "0.04", "--quiet", ranks=2).returncode == 0
     assert ngvisco("resume", several, "--until", "0.06", "--quiet").returncode == 0
@@ -323,7 +326,7 @@ def test_a_run_goes_on_with_any_number_of_ranks(case_file, tmp_path, case):
         *(pytest.param(*case, marks=pytest.mark.long) for case in (("split", 4), ("periodic", 4))),
     ],
 )
-def test_a_run_goes_on_to_the_bit_with_as_many_ranks(case_file, tmp_path, case, ranks):
+def test_a_run_is_resumed_bit_for_bit_with_the_same_number_of_ranks(case_file, tmp_path, case, ranks):
     """Ledger, samples and states are equal to the bit, because no sum depends on the order in which messages
     arrive."""
     case_file.write_text(CASES[case].replace("dt = ", 'scheme = "midpoint"\ndt = '))
@@ -652,7 +655,7 @@ def test_an_error_on_one_rank_is_raised_on_all_ranks(tmp_path):
 @pytest.mark.long
 @pytest.mark.ci
 @pytest.mark.parametrize("where", ["start", "step"])
-def test_a_fault_of_one_rank_ends_all(tmp_path, where):
+def test_an_uncaught_error_of_one_rank_ends_all_ranks(tmp_path, where):
     """The other ranks wait for the failed rank in a computation; none of them stays behind."""
     (tmp_path / "failing.py").write_text(FAILING)
     result = run(tmp_path / "failing.py", where, ranks=3, timeout=60)

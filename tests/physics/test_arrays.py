@@ -29,7 +29,7 @@ from ngvisco.physics.tensors import (
 from ngvisco.physics.variables import Distortion, Jacobian
 
 
-def test_every_operation_against_differences():
+def test_derivatives_of_every_operation_equal_differences():
     rng = np.random.default_rng(2)
     A, B, s = rng.standard_normal((3, 3, 4)), rng.standard_normal((3, 3, 4)), 1 + rng.random(4)
 

@@ -123,7 +123,7 @@ def test_an_energy_that_depends_on_more_than_the_state_is_refused_with_the_reaso
 
 def test_energies_that_depend_on_the_state_alone_are_accepted():
     material(plain)
-    material(lambda F, J: FACTOR * plain(F, J))  # a constant
+    material(lambda F, J: FACTOR * plain(F, J))  # FACTOR is a constant
     nv.IsotropicStrainEnergy(strain_energy=square)
     for wrapped in (nv.Yosida(material=material(plain), eps=1e-3),):
         nv.Model(material=nv.WithQuadratic(material=wrapped, delta=1e-3))

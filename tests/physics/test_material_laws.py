@@ -124,7 +124,7 @@ def test_cauchy_stress_is_symmetric_and_the_derivative_of_energy(name):
     power = (referential(F + h * A @ F) - referential(F - h * A @ F)) / (2 * h) / np.linalg.det(F)
     T = at_point(cauchy_stress(material, constants(material, F)))
     scale = np.abs(T).max()
-    if name != "CustomMaterial":  # isotropic functions of F
+    if name != "CustomMaterial":  # all other examples are isotropic functions of F
         assert np.allclose(T, T.T, atol=1e-10 * scale)
     assert abs(np.sum(T * A) - power) < 1e-7 * scale
 
@@ -366,7 +366,8 @@ def test_the_singular_part_is_linear_below_J_min_and_unchanged_above():
         assert math.isclose(energy(material, J), expected, rel_tol=1e-13)
 
 
-@pytest.mark.parametrize("dim", [by_ci(2), 3])  # states in the plane are states in space, too
+# the test in three dimensions contains the states of plane strain
+@pytest.mark.parametrize("dim", [by_ci(2), 3])
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_energy_is_jointly_convex(name, dim):
     with warnings.catch_warnings():
@@ -443,9 +444,9 @@ def test_table_lists_every_material_with_a_label_of_the_paper():
 @pytest.mark.parametrize(
     ("energy", "passes"),
     [
-        (lambda J: J + 1 / J, True),  # 1/J is finite also for J < 0, and is not convex across J = 0
+        (lambda J: J + 1 / J, True),  # only J > 0 counts: 1/J is not convex across J = 0
         (lambda J: (J - 1) ** 2.0, True),
-        (lambda J: 1 / J - J * J, False),  # for J > 1
+        (lambda J: 1 / J - J * J, False),  # this energy is concave for J > 1
     ],
 )
 def test_convexity_is_required_in_the_energy_s_domain_only(energy, passes):

@@ -38,7 +38,8 @@ def test_a_parameter_does_not_combine_with_a_function_of_the_place(combine):
         for left in (theta, 1 + theta):
             with pytest.raises(nv.ParameterError, match=r"written as nv.Parameter\(name, start=...\)"):
                 combine(left, place)
-            with pytest.raises(TypeError, match="incompatible function arguments"):  # NGSolve raises it
+            # NGSolve raises this error
+            with pytest.raises(TypeError, match="incompatible function arguments"):
                 combine(place, left)
 
 

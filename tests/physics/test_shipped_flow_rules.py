@@ -34,11 +34,12 @@ def stress(rule, Pi):
 @pytest.mark.parametrize(
     ("rule", "M", "expected"),
     [
+        # the strain rate is B sigma^3 with B = 0.3
         (
             nv.Norton(A=1.5**2 * 0.3, n=3),
             2.0 * UNIAXIAL,
             1.5 * 0.3 * 2.0**3 * UNIAXIAL,
-        ),  # strain rate B sigma^3
+        ),
         (nv.Perzyna(sigma_Y=1.0, G_m=2.0), 0.999 * UNIAXIAL, 0 * UNIAXIAL),
         (nv.Perzyna(sigma_Y=1.0, G_m=2.0), 3.0 * UNIAXIAL, (3.0 - 1.0) / 2.0 * UNIAXIAL),
         (nv.Perzyna(sigma_Y=1.0, G_m=2.0, n=3), 3.0 * UNIAXIAL, 2.0**3 / 2.0 * UNIAXIAL),

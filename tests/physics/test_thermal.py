@@ -29,7 +29,7 @@ def state(material, J, theta):
     F = J ** (1 / 3) * Id(3)
     z = {v.name: v.from_distortion(F) for v in material.variables}
     entropy = material.start(CF(theta), z["A"])
-    # a number, so that a derivative by A does not contain its dependence on A
+    # s is a number, so that derivatives by A are taken at constant s
     return z | {"s": CF(float(sampled(entropy)[0]))}
 
 
@@ -55,7 +55,8 @@ def test_a_thermal_energy_has_the_given_temperature_pressure_and_heat_capacity(c
     expected = {"expansion": K * 0.01 * 50, "gruneisen": 1.5 * 3.0 * 50 / 1.2}
     assert hot - at_rest == pytest.approx(sum(expected[name] for name in heat), rel=1e-10, abs=1e-9)
     energies = [float(sampled(material.energy(state(material, 1.2, 350.0 + d)))[0]) for d in (1, -1)]
-    assert 1.2 * (energies[0] - energies[1]) / 2 == pytest.approx(3.0, rel=1e-9)  # per reference volume
+    # J phi is the energy per reference volume
+    assert 1.2 * (energies[0] - energies[1]) / 2 == pytest.approx(3.0, rel=1e-9)
 
 
 def test_an_ideal_gas_satisfies_the_gas_laws():
@@ -220,7 +221,7 @@ def at(material, d, change, J=1.0):
 def test_thermal_stress_is_whole_in_an_intact_body_and_zero_in_a_broken_one():
     material = breaking()
     pressures = [-np.trace(value(cauchy_stress(material, at(material, d, 0.5)))) / 3 for d in (0.0, 1.0)]
-    assert pressures[0] == pytest.approx(20.0 * BETA * 0.5, rel=1e-9)  # K beta dtheta
+    assert pressures[0] == pytest.approx(20.0 * BETA * 0.5, rel=1e-9)  # the pressure is K beta dtheta
     assert pressures[1] == pytest.approx(1e-6 * pressures[0], rel=1e-6)
 
 
@@ -228,7 +229,8 @@ def test_thermal_stress_drives_damage_and_free_expansion_does_not():
     """-d phi/dd at d = 0 is twice the elastic energy, K (beta dtheta)^2/2 in a clamped body."""
     material, change = breaking(), -0.5
     energy = 0.5 * 20.0 * (BETA * change) ** 2
-    stiffer = 1 + 20.0 * BETA**2 * WARM / C_V  # adiabatic over isothermal
+    # the adiabatic stiffness is larger than the isothermal one by this factor
+    stiffer = 1 + 20.0 * BETA**2 * WARM / C_V
     clamped = -value(conjugates(material, at(material, 0.0, change))["damage"])
     assert clamped == pytest.approx(2 * energy / stiffer, rel=1e-2)
     free = 1 + BETA * change / stiffer
@@ -259,4 +261,5 @@ def test_heat_has_to_wrap_damage_and_other_orders_are_refused():
         nv.ParameterError, match=r"Thermal\.gruneisen = 0\.4.*expansion gives the thermal stress"
     ):
         nv.Thermal(material=broken, c=C_V, theta_R=WARM, gruneisen=0.4)
-    assert nv.Thermal(material=broken, c=C_V, theta_R=WARM).material is broken  # no thermal stress
+    # without a thermal stress the material is accepted
+    assert nv.Thermal(material=broken, c=C_V, theta_R=WARM).material is broken

@@ -196,7 +196,7 @@ def test_zaremba_jaumann_rate_is_objective() -> None:
     Q = random_rotation(rng)
     E = (F_0 + F_0.T) / 2
     rate = rates([SmallStrain()], E.ravel(), L, Pi).reshape(3, 3)
-    # the derivative of Q E Q^T, where Q' = spin Q
+    # this is the derivative of Q E Q^T with Q' = spin Q
     expected = spin @ Q @ E @ Q.T + Q @ rate @ Q.T - Q @ E @ Q.T @ spin
     E_star, L_star, Pi_star = Q @ E @ Q.T, Q @ L @ Q.T + spin, Q @ Pi @ Q.T
     assert rates([SmallStrain()], E_star.ravel(), L_star, Pi_star).reshape(3, 3) == pytest.approx(

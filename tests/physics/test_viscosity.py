@@ -60,7 +60,7 @@ def test_isotropic_D_is_the_stokes_viscosity():
         assert value(getattr(law, name)(e, {})) == pytest.approx(
             value(getattr(plain, name)(e, {})), rel=1e-13
         )
-    # places of K_v + 4/3 G_v and of G_v as in the docstring
+    # K_v + 4/3 G_v and G_v stand where the docstring says
     voigt = np.array([[isotropic(3.0, 0.7)[*a, *b] for b in PAIRS] for a in PAIRS])
     assert voigt[0, 0] == pytest.approx(3 + 4 / 3 * 0.7) and voigt[3, 3] == pytest.approx(0.7)
     assert nv.LinearViscosity(D=voigt, notation="voigt").mandel == pytest.approx(law.mandel)

@@ -44,7 +44,7 @@ def test_a_program_that_keeps_no_data_reads_them_at_each_call():
     function = Function(True)
     calls, programs = run_steps(function, [0.1] * 3, keeps=False)
     assert calls == [1, 1, 0]
-    function.number = np.array([7.0])  # changed within a step
+    function.number = np.array([7.0])  # the number changes within a step
     assert np.array_equal(programs("product", function, C)["product"], 7.0 * C["a"])
 
 

@@ -85,6 +85,7 @@ def test_one_increment_differentiates_a_column_of_each_branch():
     slope.curving = lambda values: calls.append(values.shape[1]) or curving(values)
     hessian = slope.hessian(z)
     largest = sum(states.spaces[name].size for name in ("B_slow", "N_slow"))
-    assert calls == [5 * (largest + 1)] and largest + 1 < states.size  # 5 points for each column, and J
+    # one call has 5 points for each column of a branch and for J
+    assert calls == [5 * (largest + 1)] and largest + 1 < states.size
     assert abs(hessian[states.slices["B_slow"], states.slices["J"]]).max() > 0.1
     assert np.allclose(hessian, by_columns, rtol=0, atol=1e-14 * abs(by_columns).max())

@@ -80,7 +80,7 @@ def test_both_solvers_keep_energy_mass_and_axial_momentum():
         assert abs(row["momentum_defect_2"]) <= 1e-2 * abs(row["momentum_2"])
 
 
-def test_wall_forces_bear_a_weight():
+def test_wall_forces_balance_the_weight():
     """In a can of radius 1 at rest the bottom bears rho g height/2, the weight over 2 pi."""
     forces = nv.WallForces()
     run = about_the_axis(
@@ -217,7 +217,8 @@ GOES_ON = {
 }
 
 
-@pytest.mark.filterwarnings("ignore:bodies .* meet with different stresses")  # the gas presses a little
+# the gas has a small pressure at rest
+@pytest.mark.filterwarnings("ignore:bodies .* meet with different stresses")
 @pytest.mark.parametrize(
     ("solver", "name"),
     others_by_ci(product(SOLVERS, GOES_ON), ("coupled", "one body")),

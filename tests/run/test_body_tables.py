@@ -86,7 +86,7 @@ def test_a_disc_starts_at_its_given_place(whole):
     assert table.column("disc_x")[0] == pytest.approx(0.6, abs=0.01)
     assert table.column("disc_y")[0] == pytest.approx(0.5, abs=0.01)
     for end, exact in (("x_min", 0.4), ("x_max", 0.8), ("y_min", 0.3), ("y_max", 0.7)):
-        assert table.column(f"disc_{end}")[0] == pytest.approx(exact, abs=0.07)  # cells have 0.25 m
+        assert table.column(f"disc_{end}")[0] == pytest.approx(exact, abs=0.07)  # cells are 0.25 m long
     assert table.column("disc_y")[-1] < 0.5 - 1e-4  # the disc is the heavier body
 
 

@@ -54,7 +54,7 @@ def test_a_run_goes_on_with_the_other_solver(tmp_path, solver, other):
     again, same = (simulation(material=SOLID, solver=name) for name in (other, solver))
     for run in (again, same):
         run.restore(tmp_path / "run.h5", step=2)
-    # zeros stand for the unknowns that are not kept: a matrix at this state would be another one
+    # unknowns that the file lacks are zero: a matrix at this state would differ, so that none is assembled
     assert same.solver.newton.is_factorised and not again.solver.newton.is_factorised
     again.run(0.06)
     assert_same(whole, again)
@@ -93,7 +93,7 @@ def test_a_checkpoint_with_a_flipped_bit_is_refused_or_reads_the_same(tmp_path):
             refused += 1
         assert np.array_equal(run.rothe_step.state.vec.FV().NumPy(), state)
         assert run.ledger.rows[-1] == pytest.approx(row, rel=0, abs=0, nan_ok=True)
-    assert refused >= 10  # most of the file is data
+    assert refused >= 10  # most of the file is data, in which a flipped bit is refused
 
 
 def test_a_checkpoint_identifies_an_energy_by_its_values_not_by_its_name(tmp_path):
@@ -166,7 +166,7 @@ def test_a_checkpoint_that_could_not_be_written_is_written_at_the_end(tmp_path, 
 
     def written(path, content):
         calls.append(path)
-        if len(calls) == 3:  # the first one is that of the start
+        if len(calls) == 3:  # the first call writes the checkpoint of the start
             raise OSError("no space left on device")
         write(path, content)
 

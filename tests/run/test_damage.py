@@ -243,7 +243,7 @@ def test_damage_growth_per_step_is_a_column_and_fast_growth_is_warned_of():
         ledger = run.run(0.3)
     d = [exact("AT2", RATE * t, 0.1, 1.0)[0] for t in ledger.column("time")]
     assert ledger.column("damage_growth")[1:] == pytest.approx(np.diff(d), rel=1e-9)
-    made = 0.1 * np.cumsum(ledger.column("crack_growth"))  # G_c
+    made = 0.1 * np.cumsum(ledger.column("crack_growth"))  # the factor 0.1 is G_c
     assert ledger.column("stored_surface") == pytest.approx(made, rel=1e-9, abs=1e-15)
     assert made[-1] > 0.01
 

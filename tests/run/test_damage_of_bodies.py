@@ -114,7 +114,7 @@ def test_each_step_from_a_state_to_another_dissipates_at_every_point(mixture):
     before, after = respond(old), respond(now, np.where(lagged, old, now))
     distance = before.energy - after.energy - (after.slope * (old - now)).sum(axis=1)
     assert distance.min() > 0
-    # controls without the sign: present volumes in the conjugates of damage, and damage that does not lag
+    # a control: with the slope at the present volumes and damage, some distances are negative
     present = respond(now)
     of_present = before.energy - present.energy - (present.slope * (old - now)).sum(axis=1)
     assert of_present.min() < 0

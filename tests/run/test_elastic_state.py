@@ -93,7 +93,7 @@ def test_an_open_elastic_state_is_B_for_constants_in_cells(name):
         for asked in "FB":
             by = nv.Model(material=OPEN[name](elastic_state=asked))
             assert names(by.at_order(m).material) == names(by.material)
-        made = model.at_order(m)  # the elastic state, once chosen, stays with other orders
+        made = model.at_order(m)  # a chosen elastic state stays the same with other orders
         assert names(made.at_order(0 if m else 1).material) == names(made.material)
     # a model with replaced parts may still choose
     assert names(replace(model, loads=(nv.Gravity((0, -1)),)).at_order(0).material) != names(model.material)
@@ -135,7 +135,7 @@ def test_a_run_keeps_its_choice_over_checkpoints_and_other_orders(tmp_path):
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_B_stores_what_F_dissipates_in_the_step():
+def test_with_B_a_step_stores_the_energy_that_it_dissipates_with_F():
     """B^k = B + tau (L B + B L^T) lacks tau^2 L B L^T of F F^T, which F loses as ``bregman``.
 
     The difference of the stored energies was 0.985 and 0.98 of F's bregman at 0.02 and 0.01 s. With the
@@ -239,7 +239,7 @@ def test_a_run_ends_at_the_given_drift_limit():
 
 
 @pytest.mark.parametrize(("state", "m"), [(None, 0), by_ci("B", 1)])
-def test_with_B_the_wave_in_a_box_stays_below_its_start(state, m):
+def test_with_B_the_kinetic_energy_of_a_wave_never_exceeds_its_start_value(state, m):
     """B is the default for m = 0."""
     run = in_a_closed_box(state, m)
     assert names(run.model.material) == ["B", "J"]

@@ -170,7 +170,8 @@ def test_a_flow_rule_without_a_smooth_potential_at_rest_is_named(floor, is_named
 def test_a_step_from_rest_names_no_fastest_place(monkeypatch):
     model = nv.Model(material=nv.LinearElastic(K_e=10.0, G_e=5.0), creep=nv.Perzyna(sigma_Y=0.5, G_m=1e-6))
     run = nv.Simulation(box((1, 1), 0.6), model, dt=0.02, solver="coupled")
-    run.rothe_step.state.vec.FV().NumPy()[run.rothe_step.layout.ranges["v"]] = 1e-18  # rounding
+    # v is as small as rounding errors
+    run.rothe_step.state.vec.FV().NumPy()[run.rothe_step.layout.ranges["v"]] = 1e-18
     solve = run.solver.newton.solve
     monkeypatch.setattr(
         run.solver.newton, "solve", lambda *given: replace(solve(*given), status=Status.STALLED, reason="no")

@@ -194,7 +194,7 @@ def scaled(entries: Callable[..., list[Entry] | Entry], name: str, factor: float
 
 
 BROKEN = {
-    "inertial": (Inertia, 2.0),  # without its factor 1/2
+    "inertial": (Inertia, 2.0),  # the broken entry lacks its factor 1/2
     "bregman": (Kinematics, 1.01),
     "dissipation_creep": (Kinematics, 0.99),
     "dissipation_stokes_bulk": (Stokes, 1.01),

@@ -96,12 +96,12 @@ def test_constants_in_cells_keep_momentum_to_rounding(name):
     Bregman distances."""
     run, change = thrown(name, m=0, solver="split")
     assert change <= 1e-12
-    if "stiffness" not in name:  # an energy that is convex
+    if "stiffness" not in name:  # the energy is convex
         assert run.ledger.column("dissipation_upwinding")[1:].min() > 0
 
 
 @pytest.mark.parametrize("name", ["quadratic", "neo-Hookean, B"])
-def test_momentum_is_kept_in_space(name):
+def test_momentum_is_conserved_in_three_dimensions(name):
     assert thrown(name, dim=3, solver="split")[1] <= 1e-10  # the tolerance of GMRES causes this error
 
 

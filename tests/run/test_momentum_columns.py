@@ -56,7 +56,7 @@ def test_gravity_gives_a_periodic_body_its_weight_times_the_time(scheme, solver,
     mesh = box((1,) * dim, maxh=0.5, periodic="xyz"[:dim])
     run = nv.Simulation(mesh, model, dt=0.1, scheme=scheme, solver=solver, initial=nv.Initial(density=3.0))
     ledger = run.run(until=0.2)
-    assert not any(name.startswith("angular") for name in ledger.columns)  # no rotation of a periodic box
+    assert not any(name.startswith("angular") for name in ledger.columns)  # a periodic box has no rotation
     np.testing.assert_allclose(of(ledger, "momentum")[-1], 3.0 * 0.2 * np.array(g), rtol=1e-12)
     np.testing.assert_allclose(of(ledger, "impulse_gravity")[1:], 2 * [0.3 * np.array(g)], rtol=1e-12)
     assert abs(of(ledger, "momentum_defect")).max() < 1e-13
@@ -158,10 +158,11 @@ def test_curved_walls_turn_a_body_by_friction_alone():
             abs(left(ledger)).max() < 1e-5
         )  # cells of a higher order than v, whose space then contains no rotation
         about = ledger.column("angular_momentum")
-        assert about[0] == pytest.approx(pi / 2, rel=5e-3)  # int rho r^2
+        # the angular momentum is int rho r^2 with omega = 1
+        assert about[0] == pytest.approx(pi / 2, rel=5e-3)
         walls = ledger.column("angular_impulse_walls")
         assert abs(walls).max() < 2e-4 * about[0]  # the pressure of these walls has no torque
-        if braked:  # 2 pi c R^3 omega dt, with a slowly decreasing omega
+        if braked:  # the impulse is 2 pi c R^3 omega dt; omega decreases slowly
             torque = -ledger.column(f"angular_impulse_friction_{name}")[1:] / (2 * pi * 0.5 * 0.02)
             assert (torque < 1.0).all() and (torque > 0.7).all()
 
@@ -198,7 +199,7 @@ def test_momentum_created_at_a_jump_is_a_defect_in_the_ledger():
     assert abs(left(ledger)).max() < 1e-12
     assert ledger.column("dissipation_upwinding")[1:].min() > 1e-6  # the jump travels with the body
     total = abs(change[:2]).max()
-    # the defect over the largest momentum, and over the mass times the velocity scale; no load acts
+    # the defect is relative to the largest momentum plus the mass times the velocity scale; no load acts
     moving = ledger.column("momentum_size").max() + ledger.column("mass")[0] * run.velocity_scale
     assert ledger.column("momentum_defect_relative")[-1] == pytest.approx(total / moving, rel=1e-6, abs=1e-14)
 
@@ -210,7 +211,7 @@ def test_a_lost_momentum_is_warned_of_once_and_by_name():
     with pytest.warns(MomentumWarning, match=r"10\.0% of the present momentum.*skew form of inertia"):
         ledger.momentum.check(row)
     with pytest.raises(pytest.fail.Exception), pytest.warns(MomentumWarning):
-        ledger.momentum.check(row)  # this warns
+        ledger.momentum.check(row)  # the second call warns of nothing, so that pytest.warns fails
 
 
 def test_columns_go_to_files_with_units_and_a_resumed_run_goes_on(tmp_path):

@@ -117,7 +117,8 @@ def test_each_branch_has_the_stress_and_creep_rate_that_it_has_alone():
 
     B = at(run.fields["B_slow"]).reshape(-1, 3, 3)
     N = at(run.fields["N_slow"]).reshape(-1, 3, 3)
-    zeta_B, zeta_N = 1.5 * np.eye(3), 0.5 * np.eye(3)  # conjugates of G_e tr B + G_mr tr N
+    # these are the conjugates for the energy G_e tr B + G_mr tr N
+    zeta_B, zeta_N = 1.5 * np.eye(3), 0.5 * np.eye(3)
     M = 2 * (zeta_B @ B) - 2 * (zeta_N @ N)
     M = M - np.trace(M, axis1=1, axis2=2)[:, None, None] * np.eye(3) / 3
     found = at(run.fields["mandel_stress_slow"]).reshape(-1, 3, 3)
@@ -128,7 +129,7 @@ def test_each_branch_has_the_stress_and_creep_rate_that_it_has_alone():
     spring = at(run.fields["B_spring"]).reshape(-1, 3, 3)
     assert np.abs(spring - B).max() > 0.01  # one branch relaxes, the other does not
     chains = at(run.fields["B_chains"]).reshape(-1, 3, 3)
-    shear = M + 2 * 1.0 * spring + 2 * 2.0 * chains  # the stress of all branches, without a pressure
+    shear = M + 2 * 1.0 * spring + 2 * 2.0 * chains  # the stress of all branches but for a pressure
     T = at(run.fields["cauchy_stress"]).reshape(-1, 3, 3)
     gap = np.abs((T - shear)[:, ~np.eye(3, dtype=bool)]).max()
     assert gap < 0.01 * np.abs(shear[:, 0, 1]).max()  # conjugates of the chains are projected
@@ -186,7 +187,7 @@ def stretched(material):
 
 
 @pytest.mark.parametrize("small", [by_ci(False, id="by B"), pytest.param(True, id="small strain")])
-def test_named_branches_break_and_the_others_bear_on(small):
+def test_named_branches_break_and_the_others_keep_their_stress(small):
     def solid(G):
         if small:
             return nv.LinearElastic(K_e=20.0 * G, G_e=2 * G)

@@ -134,7 +134,7 @@ def test_columns_of_a_body_are_those_of_its_shape(m):
     assert found("e_D") == pytest.approx((A - B) / (A + B), abs=0.015)
     assert found("e_angle") == pytest.approx(ANGLE, abs=0.015)
     assert found("e_turning") == pytest.approx(0.7, rel=1e-6)
-    assert 0.5 < found("e_smeared") < 1.0  # a width in cells
+    assert 0.5 < found("e_smeared") < 1.0  # the column is the interface's width in cells
 
 
 def test_stress_and_traction_are_those_of_a_known_pressure():
@@ -163,7 +163,7 @@ def test_stress_traction_and_width_are_measured_in_three_dimensions():
     start = nv.Initial(F=(1 + s * (x - 0.5) / 3) * Id(3))
     run = run_with(("e", nv.Ball((0.5, 0.5, 0.5), 0.35)), maxh=0.3, dim=3, initial=start)
     found = measured(run, "stress", "traction")
-    assert found("e_force_x") == pytest.approx(K * s * volume, rel=0.15)  # two cells across
+    assert found("e_force_x") == pytest.approx(K * s * volume, rel=0.15)  # the body is about two cells wide
     assert found("e_torque_z") == pytest.approx(0, abs=0.05 * K * s * volume * 0.35)
     assert 0.4 < found("e_smeared") < 1.2
     with pytest.raises(nv.ParameterError, match=r"Bodies.measures.*'deformation'.*3D"):
@@ -176,7 +176,8 @@ def test_stress_traction_and_width_are_measured_in_three_dimensions():
 @pytest.mark.ci
 def test_gaps_are_measured_between_two_bodies_with_places():
     run = run_with(("one", nv.Ball((0.25, 0.5), 0.15)), ("two", nv.Ball((0.7, 0.5), 0.2)), maxh=0.07)
-    assert measured(run, "gap")("gap_one_two") == pytest.approx(0.1, abs=0.007)  # a tenth of a cell
+    # the tolerance is a tenth of a cell
+    assert measured(run, "gap")("gap_one_two") == pytest.approx(0.1, abs=0.007)
     with pytest.raises(nv.ParameterError, match=r"'gap'.*two bodies"):
         measured(run_with(("one", nv.Ball((0.25, 0.5), 0.15))), "gap")
     with pytest.raises(nv.ParameterError, match=r"Bodies.measures.*'width'.*deformation"):
@@ -218,7 +219,7 @@ def test_a_body_whose_outline_touches_itself_is_warned_of_once(slit):
 
 
 @pytest.mark.parametrize("slit", [0.1, 0.45])
-def test_a_body_whose_surface_touches_itself_in_space_is_warned_of(slit):
+def test_a_body_whose_surface_touches_itself_in_three_dimensions_is_warned_of(slit):
     """The part of the cube below z = 0.7 has a slit of 0.6 or of 2.7 cells."""
     mesh, elastic = structured_box((1, 1, 1), (6, 6, 6)), nv.ReferentialNeoHookean(K_e=10.0, G_e=2.0)
     in_slit = IfPos((slit / 2) ** 2 - (x - 0.5) ** 2, y - 0.4, -1.0)
@@ -264,9 +265,8 @@ def test_contours_are_rows_and_lines_for_paraview(tmp_path):
     for number, (centre, radius) in ((1, (0.3, 0.2)), (2, (0.75, 0.15))):
         line = rows[(rows[:, 2] == number) & (rows[:, 0] == 3)]
         assert line[0, 4:] == pytest.approx(line[-1, 4:])
-        assert np.hypot(line[:, 4] - centre, line[:, 5] - 0.5) == pytest.approx(
-            radius, abs=0.02
-        )  # a fifth of a cell
+        # the tolerance is a fifth of a cell
+        assert np.hypot(line[:, 4] - centre, line[:, 5] - 0.5) == pytest.approx(radius, abs=0.02)
     series = read_pvd(tmp_path / "contours" / "contours.pvd")
     assert [time for time, _ in series] == pytest.approx([0, 0.02, 0.03])
     content = (tmp_path / "contours" / series[-1][1]).read_bytes()

@@ -82,7 +82,7 @@ def test_checkpoint_without_the_passive_fields_is_refused(tmp_path):
         simulation().restore(path)
 
 
-def test_a_passive_field_that_is_not_solved_leaves_the_step_alone(monkeypatch):
+def test_a_passive_field_without_a_solution_changes_neither_state_nor_step(monkeypatch):
     """States and steps equal those of a run without the field. A column counts the components that were not
     solved."""
     monkeypatch.setattr("ngvisco.forms.carrier.ITERATIONS", 1)

@@ -108,7 +108,7 @@ def part():
     return solid - hole
 
 
-@pytest.mark.long  # 85 cells
+@pytest.mark.long  # the mesh has 85 cells
 @pytest.mark.ci
 def test_a_filleted_part_with_a_hole_conserves_energy_and_mass():
     shape = part()
@@ -211,7 +211,8 @@ def test_a_mesh_of_glued_shapes_without_names_runs():
     assert set(run.rothe_step.walls.conditions) == {"default"}
     ledger = run.run(0.05)
     assert abs(ledger.column("closure_relative")).max() < 1e-12
-    assert run.fields["velocity"](mesh(0.6, 0.3))[1] < -0.001  # across the disc's lowest point
+    # matter flows through the place where the disc's lowest point is
+    assert run.fields["velocity"](mesh(0.6, 0.3))[1] < -0.001
 
 
 def test_a_boundary_part_that_is_both_wall_and_interface_is_refused():

@@ -117,7 +117,7 @@ def test_a_layer_is_joined_across_the_periodic_boundaries_that_it_crosses():
     assert row["body_B"] == pytest.approx(4 / 12**0.5 * 0.375, rel=1e-9)
 
 
-def test_a_block_over_an_edge_of_space_has_its_centroid_there():
+def test_a_block_across_two_periodic_boundaries_has_one_centroid():
     """The block is cut into four parts by the boundaries of a box."""
     moves = product((-1, 0), (0,), (-1, 0))
     low, high = (0.625, 0.375, 0.75), (1.25, 0.625, 1.5)

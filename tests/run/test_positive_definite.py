@@ -58,7 +58,7 @@ def test_an_indefinite_mean_is_refused_and_an_indefinite_point_limited_by_branch
     z = step.state.vec.FV().NumPy()[step.layout.ranges["z"]].reshape(states.size, -1)
     at_rest, first = z.copy(), states.slices["B_spring"].start
     for diagonal in (first, first + 2):
-        z[diagonal] -= 2 * at_rest[diagonal]  # B_11 = B_22 = -1
+        z[diagonal] -= 2 * at_rest[diagonal]  # B_11 and B_22 become -1
     found = bounds.violation()
     assert found is not None and found.is_mean and found.quantity == "B_spring_11"
     z[:] = at_rest

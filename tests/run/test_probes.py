@@ -24,7 +24,7 @@ def test_probes_and_lines_have_the_fields_values():
     line = nv.LineSamples((0, 0.5), (1, 0.5), 5, ["density"])
     run = small([probes, line])
     run.run(0.03)
-    assert probes.column("step").tolist() == [0, 2, 3]  # the last state too
+    assert probes.column("step").tolist() == [0, 2, 3]  # the last state is written too
     at = run.mesh(0.3, 0.4)
     for name, value in (("velocity_1", run.fields["velocity"](at)[0]), ("J", run.fields["J"](at))):
         assert probes.column(f"in.{name}")[-1] == pytest.approx(value, rel=1e-14)
@@ -155,7 +155,8 @@ def test_a_resumed_table_is_that_of_the_uninterrupted_run(tmp_path):
 
     small(observed(tmp_path / "whole")).run(0.04)
     small(observed(tmp_path / "parts")).run(0.03)
-    assert (tmp_path / "parts" / "p.csv").read_text().count("\n") == 4  # steps 0, 2 and 3, the last
+    # the header and the rows of steps 0, 2 and 3
+    assert (tmp_path / "parts" / "p.csv").read_text().count("\n") == 4
     again = small(observed(tmp_path / "parts"))
     again.restore(tmp_path / "parts" / "run.h5")
     again.run(0.04)

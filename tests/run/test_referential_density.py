@@ -52,7 +52,8 @@ def test_the_density_follows_from_J(material, initial, density):
 def test_density_and_J_may_both_be_given_if_they_agree():
     started(SOLID, F=F_0, density=2.5 / Det(F_0))
     started(FLUID, values={"J": 1.25}, density=2.0)
-    started(nv.BarotropicFluid(B=1.0, gamma=1.4), values={"J": 1.25}, density=7.0)  # without rho_R: free
+    # without rho_R, density and J are independent
+    started(nv.BarotropicFluid(B=1.0, gamma=1.4), values={"J": 1.25}, density=7.0)
 
 
 @pytest.mark.parametrize(
@@ -191,7 +192,7 @@ def test_an_energy_per_mass_is_multiplied_by_the_referential_density():
     per_mass, per_volume = material(), material('material.per="referential volume"')
     found = [float(at(None, m.energy(z))) for m in (per_mass, per_volume)]
     assert isinstance(per_mass, nv.PerMass) and found[0] == pytest.approx(2 * found[1], rel=1e-14)
-    # [units] has none of J/kg; Pa is one of pressure
+    # [units] changes the unit of an energy per volume, but has no unit for J/kg
     kilo = '[units]\npressure = "kPa"\n'
     scaled = [material(head=kilo), material('material.per="referential volume"', head=kilo)]
     assert [float(at(None, m.energy(z))) for m in scaled] == pytest.approx([found[0], 1000 * found[1]])

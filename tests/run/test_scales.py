@@ -54,7 +54,7 @@ def test_scales_and_numbers_follow_their_definitions():
 
 def test_advice_is_given_where_a_scale_is_not_resolved():
     assert found().advice == []
-    (slow,) = found(dt=0.1).advice  # along the longer edge
+    (slow,) = found(dt=0.1).advice  # the waves cross the domain along its longer edge
     assert "shear waves cross the domain in 1.3 s, 13 steps" in slow and "dt <= 0.063 s" in slow
     assert any("cells across the domain" in line and "m or less" in line for line in found(maxh=0.5).advice)
     (relaxing,) = found(G_m=0.2).advice
@@ -200,7 +200,7 @@ def test_cells_across_each_body_are_counted():
     run = of_bodies(nv.Body(name="disc", where=place, **STIFF), nv.Body(name="rest", **SOFT))
     cells = scales(run).bodies
     assert set(cells) <= {"disc", "rest"} and cells["rest"] > 2
-    assert cells.get("disc", 0.0) < 1.5  # a diameter of 0.3 m, in cells of 0.4 m
+    assert cells.get("disc", 0.0) < 1.5  # the disc has a diameter of 0.3 m in cells of 0.4 m
     named = replace(scales(run), bodies={"disc": 1.3}).advice
     assert any("1.3 cells across the body 'disc'" in line for line in named)
 

@@ -48,7 +48,7 @@ def test_output_times_are_met_exactly_and_the_ledger_closes(tmp_path):
     run = simulation(stepping, [series], dt=0.013)
     ledger = run.run(0.2, stops=stops)
     times = ledger.column("time")
-    assert {*stops, 0.2} <= set(times)  # equal to the last bit
+    assert {*stops, 0.2} <= set(times)  # the times are equal to the last bit
     assert [time for time, _ in series.files.written] == [0.0, *stops, 0.2]
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
     assert np.allclose(np.diff(times), ledger.column("dt")[1:], rtol=1e-12)
@@ -95,7 +95,8 @@ def test_a_run_that_needs_a_step_below_the_minimum_ends_with_its_attempts(tmp_pa
     tried = r"dt_min = 0.004 s from t = 0.04 s .*0.02 s \(refused 0.02\); 0.01 s \(refused 0.01\); 0.005 s"
     with pytest.raises(nv.StepError, match=tried):
         run.run(0.2)
-    assert len((tmp_path / "ledger.csv").read_text().splitlines()) == 4  # header and rows 0 to 2
+    # the file has a header and rows 0 to 2
+    assert len((tmp_path / "ledger.csv").read_text().splitlines()) == 4
     again = simulation(stepping)
     again.restore(tmp_path / "run.h5")
     assert (again.number, again.t) == (2, run.t)
@@ -221,7 +222,7 @@ def test_auto_uses_the_other_solver_if_no_part_of_a_step_is_solved(halvings, mon
     run = halving(solver="auto", newton=newton, halvings=halvings, observers=[watch])
     ledger = run.run(5 * DT)
     assert ledger.column("dt")[1:] == pytest.approx([DT] * 5)
-    attempts = 2 * (halvings + 1)  # at the first step, and at the third one
+    attempts = 2 * (halvings + 1)  # the first step and the third step are tried with all halvings
     assert len(watch.seen) == attempts and run.solver.method == "coupled"
     assert (
         "the coupled solver tries this step and, on success, takes the next 2 steps"
@@ -308,7 +309,8 @@ def test_a_run_that_is_asked_to_stop_while_it_writes_begins_no_further_step(tmp_
 
 def test_restart_within_a_step_is_bitwise_identical(tmp_path, monkeypatch):
     fails_above(monkeypatch, DT / 4)
-    whole = assert_goes_on(halving, tmp_path / "run.h5", 2 * DT, 3)  # three quarters of the first step
+    # the checkpoint is at three quarters of the first step
+    whole = assert_goes_on(halving, tmp_path / "run.h5", 2 * DT, 3)
     assert whole.ledger.column("time")[3] == pytest.approx(0.75 * DT) and whole.t == 2 * DT
 
 
@@ -325,7 +327,7 @@ def test_a_run_ends_before_a_part_of_a_step_that_is_not_solved(monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["dt", "scheme", "adaptive", "model", "walls", "solver"])
-def test_a_run_does_not_take_another_argument_in_silence(name):
+def test_an_argument_of_a_run_cannot_be_assigned_later(name):
     run = simulation()
     said = rf"Simulation\.{name} = 0\.1: .* Simulation\.on, .* nv\.transfer"
     with pytest.raises(nv.ParameterError, match=said):

@@ -133,7 +133,7 @@ def test_fields_of_python_functions_and_of_grids_equal_those_functions():
     assert Integrate((f - exp(x) * y) ** 2, mesh) ** 0.5 < 1e-5
     xs, ys = np.linspace(-0.1, 1.1, 13), np.linspace(0, 2, 5)
     X, Y = np.meshgrid(xs, ys, indexing="ij")
-    g = nv.grid_field(mesh, (xs, ys), 1 + 2 * X - Y, order=1)  # linear: exact
+    g = nv.grid_field(mesh, (xs, ys), 1 + 2 * X - Y, order=1)  # a linear function is interpolated exactly
     assert Integrate((g - (1 + 2 * x - y)) ** 2, mesh) < 1e-26
     v = nv.grid_field(mesh, (xs, ys), np.stack([X, -Y], axis=-1), order=1)
     assert v.dim == 2 and Integrate((v - CF((x, -y))) ** 2, mesh) < 1e-26

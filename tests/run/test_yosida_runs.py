@@ -68,7 +68,7 @@ def test_cauchy_stress_contains_the_approximated_energy() -> None:
     """T = zeta_F F^T + (J zeta_J + phi_eps) I, so that T_11 without the parts of zeta_F and zeta_J is
     phi_eps."""
     run = simulation(nv.Yosida(material=NEO_HOOKEAN, eps=0.02))
-    fields = run.fields  # obtained once: fields are functions of the present state
+    fields = run.fields  # fields are functions of the present state, so that they are obtained only once
     run.run(0.1)
     u = run.rothe_step.now
     z, zeta = u.z_tensors, u.zeta_tensors
@@ -77,7 +77,7 @@ def test_cauchy_stress_contains_the_approximated_energy() -> None:
     phi = (T[0, 0] - rate[0, 0] - z["J"] * zeta["J"])(points).ravel()
     states = np.asarray(u.z(points))
     exact = respond(run.model.material, 2)(states).energy
-    assert np.abs(phi - exact).max() < 2e-3 * np.abs(exact).max()  # a projection to P_1 in a cell
+    assert np.abs(phi - exact).max() < 2e-3 * np.abs(exact).max()  # phi_eps is projected on P_1 in each cell
     assert np.abs((T[0, 1] - rate[0, 1])(points)).max() < 1e-12
     assert np.isfinite(T(run.mesh(0.31, 0.47))).all()
 

@@ -128,7 +128,7 @@ def test_forces_and_stresses_in_three_dimensions_have_derivatives():
     tangent, adjoint = (
         nv.gradient(make(), 0.02, of=of, by=[NAME], method=method) for method in ("tangent", "adjoint")
     )
-    # these places move by less than the rounding of differences
+    # the derivatives of some places are below the rounding of differences
     sizes = np.maximum(abs(tangent.jacobian[:, 0]), 1e-3 * abs(tangent.values / 5.0))
     assert (abs(adjoint.jacobian - tangent.jacobian)[:, 0] / sizes).max() < 1e-6
 

@@ -78,5 +78,6 @@ def test_a_fit_takes_fewer_solves_than_ten_runs(counts):
     of_runs = counts["solves"] - 2 * steps
     assert counts["steps"] == steps and counts["residuals"] == 4 * steps
     assert counts["solves"] < 10 * alone["solves"]
-    assert of_runs + counts["residuals"] < 10 * alone["solves"]  # an iteration of a run has a residual
+    # each iteration of a run evaluates one residual
+    assert of_runs + counts["residuals"] < 10 * alone["solves"]
     assert counts["matrices"] - steps < 10 * alone["matrices"]

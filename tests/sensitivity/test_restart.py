@@ -125,7 +125,7 @@ def test_a_stop_is_honoured_between_two_stages_of_an_adjoint(tmp_path, monkeypat
     monkeypatch.setattr(Adjoint, "_stage", counted)
     with pytest.raises(nv.StopRequested):
         found(simulation, tmp_path, "adjoint", by=BY[:1])
-    assert stages == [2]  # the last stage, with which a step's adjoint begins
+    assert stages == [2]  # the adjoint of a step begins with its last stage
 
 
 def test_a_gradient_stopped_without_a_folder_raises_an_error():

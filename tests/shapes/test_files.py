@@ -70,7 +70,7 @@ def enclosed(triangles):
 
 @pytest.mark.parametrize("turned", [False, True])
 @pytest.mark.parametrize("part", [cube(), sphere(4)], ids=["cube", "sphere"])
-def test_volume_of_a_surface_is_met_on_cells_as_large_as_itself(tmp_path, part, turned):
+def test_volume_in_a_closed_surface_is_right_on_cells_of_its_own_size(tmp_path, part, turned):
     """The surface lies along or across the faces of 28 cells of 0.5 m. If only the corners inside the surface
     counted, the volume would be up to 13 % off."""
     axes = np.linalg.qr([[1.0, 2, 3], [0, 1, -2], [1, 0, 1]])[0] if turned else np.eye(3)
@@ -166,7 +166,8 @@ def picture(path, pixels):
 
 def test_picture_is_a_shape_where_it_is_dark(tmp_path):
     X, Y = np.meshgrid((np.arange(200) + 0.5) / 200, (199.5 - np.arange(200)) / 200)
-    dark = (X - 0.5) ** 2 + (Y - 0.7) ** 2 < 0.04  # above the middle: the first row is the highest one
+    # the disc is above the middle, since the first row is the highest one
+    dark = (X - 0.5) ** 2 + (Y - 0.7) ** 2 < 0.04
     path = picture(tmp_path / "disc.png", np.repeat(np.where(dark, 0.0, 1.0)[..., None], 3, axis=2))
     mesh = box((2, 1), maxh=0.1)
     image = Image(path, (0, 0), (1, 1))

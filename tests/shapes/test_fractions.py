@@ -46,7 +46,7 @@ def test_fractions_of_layers_sum_to_one_within_their_bounds(mesh, order):
     assert [Integrate(part, mesh) for part in parts] == pytest.approx(volumes(mesh, shapes), rel=1e-12)
 
 
-def test_later_shapes_lie_over_earlier_ones():
+def test_later_shapes_cover_earlier_shapes():
     mesh = box((1, 1), maxh=0.3)
     below, above, rest = volumes(mesh, [Block((0, 0), (1, 0.6)), Block((0, 0.4), (1, 1))])
     assert (below, above) == pytest.approx((0.4, 0.6), rel=2e-4)
@@ -72,7 +72,7 @@ def test_polygon_that_is_not_convex_has_its_area_in_either_sense():
     mesh = box((1, 1), maxh=0.1)
     points = ((0.1, 0.1), (0.9, 0.1), (0.9, 0.9), (0.5, 0.3), (0.1, 0.9))
 
-    area = 0.4  # the square has 0.64, less the triangle 0.8 x 0.6/2
+    area = 0.4  # the square has the area 0.64, and the missing triangle 0.8 x 0.6/2
     for given in (points, points[::-1]):
         assert volumes(mesh, [Polygon(given)])[0] == pytest.approx(area, rel=1e-3)
 

@@ -41,7 +41,8 @@ def evaluated(material):
 def test_a_cell_is_inverted_branch_by_branch():
     run, _, _, operator = evaluated(network())
     points, cells = operator.points, slice(0, run.mesh.ne)
-    assert [len(group) for group in points._groups(cells)] == [5, 5, 5]  # four components, and J
+    # each branch has four components and J
+    assert [len(group) for group in points._groups(cells)] == [5, 5, 5]
     resolvent, (tested,) = points._resolvent(cells), points.tested(cells, [np.arange(points.components)])
     assert np.abs(tested).max() > 0.05
     count, size, n = *tested.shape[:2], points.components
@@ -49,7 +50,7 @@ def test_a_cell_is_inverted_branch_by_branch():
     rows = np.broadcast_to(np.eye(size).reshape(size, -1, n).swapaxes(0, 1), (count, size // n, size, n))
     found = np.empty_like(expected)
     resolvent.after(rows, found)
-    assert np.abs(found - expected).max() <= 3e-4  # the series leaves 1e-4
+    assert np.abs(found - expected).max() <= 3e-4  # the truncated series has an error of 1e-4
     dz = np.random.default_rng(1).standard_normal((count, size // n, n))
     assert np.abs(resolvent(dz) - (expected @ dz.reshape(count, size, 1)).reshape(dz.shape)).max() <= 3e-3
     empty = points._resolvent(slice(0, 0))  # a rank may have no cells

@@ -34,7 +34,7 @@ def sizes(monkeypatch):
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])
-def test_an_overflow_is_answered_by_a_larger_heap(sizes, count):
+def test_a_heap_overflow_is_retried_with_a_larger_heap(sizes, count):
     form = Form(*["Local Heap overflow"] * count)
     jacobian(form).assemble(None)
     assert sizes == list(HEAP_SIZES[:count])

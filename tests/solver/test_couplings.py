@@ -70,7 +70,8 @@ class Healing(PointTerm):
         return [Entry("dissipation_healing", "dissipation", Integrand(power))]
 
 
-FACTOR, NET = 1 + x + 20 * nv.time, CF((y, nv.time))  # kept between steps, with new values in each step
+# both functions are kept between steps, but have new values in each step
+FACTOR, NET = 1 + x + 20 * nv.time, CF((y, nv.time))
 
 
 @dataclass(frozen=True)
@@ -236,7 +237,8 @@ def test_a_term_of_the_users_acts_in_both_solvers(term, scheme):
         assert ledger.column("kinetic")[-1] < 0.8 * free.column("kinetic")[-1]
 
 
-@pytest.mark.filterwarnings("ignore::ngvisco.run.signs.DissipationWarning")  # the net moves
+# the drag is relative to a moving net, which may give energy
+@pytest.mark.filterwarnings("ignore::ngvisco.run.signs.DissipationWarning")
 @pytest.mark.parametrize("term", [Leak(0.5), GrowthOfPlaceAndTime(0.5)], ids=lambda term: type(term).__name__)
 def test_rows_of_the_density_and_on_facets_act_in_both_solvers(term):
     for ledger in solved(term):
@@ -293,7 +295,7 @@ def test_a_term_that_only_forms_can_express_is_refused_by_its_name():
     with pytest.raises(nv.ParameterError, match=r"GrowthByForms has a row of rho.* rows of v alone"):
         simulation([term], solver="split")
     ledger = simulation([term], solver="coupled").run(0.04)
-    mass = ledger.column("mass")  # grows as (1 - s tau)^-1 a step
+    mass = ledger.column("mass")  # the mass grows by (1 - s tau)^-1 in a step
     assert mass[-1] / mass[0] == pytest.approx((1 - 0.1 * 0.02) ** -2, rel=1e-12)
 
 

@@ -103,7 +103,7 @@ def test_the_flow_operator_has_inertia_convection_and_viscosity(run):
     expected = derivative(split, at, dv, lambda at: r.cell_terms.rows(terms, at.cells)["v"].ravel())
     found = operator(np.concatenate([dv.ravel(), np.zeros(split.preconditioner._size - operator.nv)]))
     tests = np.zeros_like(dv, dtype=bool)
-    tests[:, : run.mesh.nv] = True  # linear basis functions
+    tests[:, : run.mesh.nv] = True  # only the linear basis functions are tested
     difference = (found[: operator.nv] - expected)[tests.ravel()]
     assert np.abs(difference).max() <= 1e-8 * np.abs(expected).max()
 

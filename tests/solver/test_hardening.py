@@ -34,7 +34,7 @@ def relaxed(law, A=1.0):
     e, k = np.linalg.norm(START), 0.0
     for _ in range(STEPS):
 
-        def defect(d, e=e, k=k):  # d = tau |Pi|
+        def defect(d, e=e, k=k):  # the unknown is d = tau |Pi|
             hardened = A * slope_and_energy(law, k + math.sqrt(2 / 3) * d)[0]
             threshold = math.sqrt(2 / 3) * (SIGMA_Y + hardened)
             return d - DT / G_M * max(2 * G_E * (e - d) - threshold, 0.0)

@@ -85,9 +85,9 @@ def test_newton_meets_its_tolerance_in_the_stated_norm() -> None:
 @pytest.mark.parametrize(
     "equation, start, reason",
     [
-        (lambda u: u * u - 1, 0.0, "no factorisation"),  # the Jacobian 2u vanishes
-        (lambda u: u * u + 1, 0.3, "did not converge"),  # no root
-        (lambda u: exp(u), 0.0, "did not converge"),  # root at minus infinity
+        (lambda u: u * u - 1, 0.0, "no factorisation"),  # the Jacobian 2u is zero
+        (lambda u: u * u + 1, 0.3, "did not converge"),  # the equation has no root
+        (lambda u: exp(u), 0.0, "did not converge"),  # the root is at minus infinity
         (lambda u: u * math.nan, 0.0, "not finite"),
     ],
     ids=["singular", "no root", "root at infinity", "NaN"],

@@ -73,7 +73,8 @@ def test_forces_on_sides_are_summed_part_by_part(monkeypatch):
     assert len(counts) == len(solver.newton.residual.parts) >= 6
     assert sum(counts) == solver.newton.residual.side_op.points.count
     by_arrays = impulses()
-    impulses.on_sides = lambda _: {}  # NGSolve's forms, over the whole mesh
+    # without arrays on sides, forms of NGSolve are evaluated on the whole mesh
+    impulses.on_sides = lambda _: {}
     by_forms = impulses()
     assert np.abs(by_forms["facets"]).max() > 1e-6
     largest = max(np.abs(force).max() for force in by_forms.values())
@@ -99,6 +100,6 @@ def test_parts_contain_each_cell_once(cells):
     assert max(part.stop - part.start for part in parts) <= 1001
 
 
-def test_threads_are_a_number():
+def test_zero_threads_are_refused():
     with pytest.raises(nv.ParameterError, match=r"threads.*0"):
         nv.NewtonOptions(threads=0)

@@ -75,7 +75,7 @@ class Increments:
 
     has_converged, reset_if_worn = Split.has_converged, lambda self, f, size: None
     is_steep, follow = False, lambda self, f: None
-    _left = 0.0  # increments are exact
+    _left = 0.0  # linear systems are solved exactly
 
     def __init__(self, sizes):
         self.sizes, self.is_factorised, self.is_fresh = sizes, True, False
@@ -125,7 +125,7 @@ def test_an_iteration_ends_if_the_expected_increments_are_within_the_margin(cont
     split, history = Increments(lambda number: 1e-9 * contraction**number), []
     assert iterate(split, Posed(), history) is Status.CONVERGED
     tolerance, margin = split.options.tolerance, split.options.split.margin
-    share = contraction / (1 - contraction)  # the sum of all later increments
+    share = contraction / (1 - contraction)  # the sum of all later increments over the last increment
     left = history[-1].increment * share
     assert left <= margin * tolerance * (1 + 1e-9) and history[-1].increment <= tolerance
     before = history[-2].increment

@@ -119,7 +119,7 @@ def test_yield_has_a_rate_independent_limit(material, solver):
         ledger = sheared(nv.Perzyna(sigma_Y=0.5, G_m=G_m), MATERIALS[material], solver).run(0.06)
         powers.append(ledger.column("dissipation_creep")[-1])
     first, second = (power - powers[-1] for power in powers[:-1])
-    assert 5 <= first / second <= 20  # like G_m
+    assert 5 <= first / second <= 20  # the differences are proportional to G_m
 
 
 def test_the_preconditioner_of_newton_krylov_is_linear():

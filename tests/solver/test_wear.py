@@ -64,14 +64,14 @@ def test_a_slow_tangent_is_renewed_before_the_iteration_has_become_long():
     assert not wear.is_dear(1e8)  # the tangent is new
     wear.rate(0.1, is_new=False)
     assert wear.is_dear(1e6)  # the old tangent takes 6 increments, a new one 2
-    assert not wear.is_dear(1e5)  # 5 increments in place of 1.7
+    assert not wear.is_dear(1e5)  # the old tangent takes 5 increments, a new one 1.7
     wear.rate(1.5, is_new=False)
-    assert not wear.is_dear(1e6)  # other code judges such increments
+    assert not wear.is_dear(1e6)  # a rate above 1 is divergence, which other code judges
     wear.renew()
     wear.rate(0.05, is_new=True)
     wear.rate(0.1, is_new=False)
-    assert not wear.is_dear(1e6)  # 6 increments in place of 4.6
-    wear.rate(0.0, is_new=True)  # the first increment of the next step
+    assert not wear.is_dear(1e6)  # the old tangent takes 6 increments, a new one 4.6
+    wear.rate(0.0, is_new=True)  # this is the first increment of the next step
     assert not wear.is_dear(1e6)
 
 

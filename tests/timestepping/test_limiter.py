@@ -34,7 +34,7 @@ def cavity(material=None, scheme="backward-euler", lid=(1.0, 0.0), mesh=None, **
 
 
 @pytest.mark.parametrize(("scheme", "solver"), WITH_BOTH_SOLVERS)
-def test_a_limited_run_goes_on_with_closed_books_and_from_a_checkpoint(scheme, solver, tmp_path):
+def test_a_limited_run_keeps_its_ledger_closed_and_is_resumed_from_a_checkpoint(scheme, solver, tmp_path):
     """From a checkpoint of a limited state the run continues bit for bit."""
     make, last = partial(cavity, scheme=scheme, solver=solver), LIMITED[scheme] - 1
     ledger = assert_goes_on(make, tmp_path / "run.h5", LIMITED[scheme] * DT, last).ledger
@@ -50,7 +50,7 @@ def test_a_limited_run_goes_on_with_closed_books_and_from_a_checkpoint(scheme, s
 )
 def test_without_a_limiter_the_run_ends_and_says_where(scheme):
     words = r"det F is not positive \(the least value is -\S+, in cell \d+ at \(0, 0.75\) m, on .*'left'\)"
-    steps = nv.AdaptiveSteps(dt_min=0.9 * DT, dt_max=DT)  # no continuation
+    steps = nv.AdaptiveSteps(dt_min=0.9 * DT, dt_max=DT)  # the run cannot go on with smaller steps
     with pytest.raises(nv.StepError, match=words):
         cavity(scheme=scheme, limiter=False, adaptive=steps, solver="split").run(LIMITED[scheme] * DT)
 
@@ -152,7 +152,8 @@ def squeezed(material, speed, dt):
 
 
 @pytest.mark.long
-@pytest.mark.filterwarnings("ignore::ngvisco.run.signs.DissipationWarning")  # cells of a sixth of the box
+# cells are a sixth of the box wide
+@pytest.mark.filterwarnings("ignore::ngvisco.run.signs.DissipationWarning")
 def test_J_of_a_fluid_passes_zero_by_its_motion_and_comes_back():
     """With J_min, J passes zero. Without J_min, the limiter keeps J of the same fluid above zero, or the run
     ends."""

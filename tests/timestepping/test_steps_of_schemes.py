@@ -44,7 +44,7 @@ RESTARTED = {
         "passive": ("F_tot", "reference_map", "creep_strain"),
         "scheme": "backward-euler",
     },
-    # rules that are linearised at stresses of iterates
+    # these rules are linearised at stresses of iterates
     "yield, coupled": YIELDING | {"solver": "coupled"},
 }
 OF_CI = {
@@ -86,7 +86,8 @@ OF_CI = {
 )
 def test_a_run_goes_on_from_any_checkpoint_bit_for_bit(options, tmp_path):
     make = partial(simulation, **options)
-    whole = assert_goes_on(make, tmp_path / "run.h5", 0.06, 1, 2)  # after one and after two solutions
+    # the checkpoints are after one and after two solved steps
+    whole = assert_goes_on(make, tmp_path / "run.h5", 0.06, 1, 2)
     assert whole.number >= 3
 
 
@@ -184,7 +185,7 @@ def test_sdirk2_damps_a_viscosity_that_midpoint_reflects():
     midpoint, sdirk2, euler, started = (
         shear_modes(*how) for how in (("midpoint",), ("sdirk2",), ("backward-euler",), ("midpoint", 2))
     )
-    assert midpoint[-1] > 0.5 * midpoint[0]  # a factor of nearly -1 a step
+    assert midpoint[-1] > 0.5 * midpoint[0]  # the mode is multiplied by nearly -1 in a step
     assert sdirk2[-1] < 1e-6 * sdirk2[0]
     assert euler[-1] < 1e-6 * euler[0]
     assert started[-1] < 1e-6 * started[0]
@@ -221,9 +222,8 @@ def test_a_relaxed_run_has_no_numerical_dissipation():
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-12
     assert {0.07, 0.1} <= set(ledger.column("time"))
     lengths = ledger.column("dt")[1:3]
-    assert (
-        np.abs(lengths - 0.02).min() > 0 and np.abs(lengths - 0.02).max() <= 1e-4
-    )  # near the given tolerance
+    # the lengths differ little from the requested one
+    assert np.abs(lengths - 0.02).min() > 0 and np.abs(lengths - 0.02).max() <= 1e-4
     plain = simulation(solver="coupled").run(0.1)
     assert np.abs(sum(plain.column(name) for name in NUMERICAL)).max() > 1e-9 * energy
 

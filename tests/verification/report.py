@@ -185,7 +185,7 @@ def put_into(directory: Path, source: Path, cases: Sequence[Case]) -> Path:
 
     Raises VerificationError if a report is missing, or a case of the new report ended in an error.
     """
-    of = commit()  # asked before new pictures change files
+    of = commit()  # the commit is read before new pictures change files
     path, report = directory / "report.md", source / "report.md"
     if absent := [str(one) for one in (path, report) if not one.is_file()]:
         raise VerificationError(f"{absent[0]}: no report")

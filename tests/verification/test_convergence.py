@@ -66,8 +66,9 @@ def test_coupled_rates_on_a_disc_are_k_plus_1_and_m_plus_1(kind: str) -> None:
     coupled_rates(kind, 2, None, 2, 1, 0.5, 3, curved=True).require(v=2.7, rho=1.8, z=1.8)
 
 
-@pytest.mark.long  # a quarter of a minute each
-@pytest.mark.filterwarnings("ignore:.*no longer belong to one distortion")  # exact fields are unrelated
+@pytest.mark.long  # each case takes a quarter of a minute
+# the exact fields of F and J are unrelated
+@pytest.mark.filterwarnings("ignore:.*no longer belong to one distortion")
 @pytest.mark.parametrize("kind", FURTHER)
 def test_coupled_rates_of_further_materials(kind: str) -> None:
     """Materials by B, by F with Cof F, Yosida approximations, with heat, and bodies have the usual orders."""

@@ -67,7 +67,7 @@ def test_every_label_that_the_package_or_a_case_names_is_one_of_the_paper():
             said = " ".join(text.partition(")")[0].split()).replace("- ", "-")
             if ")" in text and not labels_in(f" {said} ") and len(said.split()) < 3:
                 unknown.add(f"{path.name}: {said}")
-    # words among them that are no labels
+    # these texts in brackets are no labels
     assert {entry.partition(": ")[2] for entry in unknown} <= {"Section 2", "Section 3", "g^k_{delta tau}"}
     for one in all_cases():
         for part in one.label.partition(";")[0].split(", "):

@@ -225,7 +225,7 @@ def test_a_step_of_the_strain_is_carried_out_without_a_reflection():
 
 def test_flow_between_plates_with_inlet_and_outlet_is_poiseuille_s():
     """The exact velocity is y (1 - y)/2 for mu = dp/dx = 1; the density changes by dp/K = 5e-5."""
-    profile, rest = 0.5 * y * (1 - y), 1e4  # the pressure at rest, half of K
+    profile, rest = 0.5 * y * (1 - y), 1e4  # 1e4 Pa is the pressure at rest, half of K
     run = nv.Simulation(
         box((1, 1), 0.4),
         nv.Model(
@@ -242,7 +242,7 @@ def test_flow_between_plates_with_inlet_and_outlet_is_poiseuille_s():
     ledger = run.run(4.0)
     v = run.fields["velocity"] - CF((profile, 0.0))
     assert Integrate(v * v, run.mesh) ** 0.5 < 1e-3 / 120**0.5
-    pressure = 12 * ledger.column("power_wall_left")[-1]  # the power over the flux
+    pressure = 12 * ledger.column("power_wall_left")[-1]  # the pressure is the power over the flux 1/12
     assert pressure - rest == pytest.approx(1, rel=1e-3)
     assert ledger.column("dissipation_stokes_shear")[-1] == pytest.approx(1 / 12, rel=1e-3)
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-10

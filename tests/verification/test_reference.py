@@ -89,7 +89,8 @@ def test_the_theory_of_necks_has_the_limits_that_are_known() -> None:
 
 def test_radial_creep_has_the_closed_forms_of_the_linear_problem_and_the_flux_of_the_nonlinear_one():
     """For q = 2 an eigenfunction of the Laplacian with zero slope at the wall is divided by G_m + nu k^2."""
-    for dim, k, f in ((2, jn_zeros(1, 1)[0], jv), (3, 4.493409457909064, spherical_jn)):  # tan k = k
+    # the number is the first k > 0 with tan k = k
+    for dim, k, f in ((2, jn_zeros(1, 1)[0], jv), (3, 4.493409457909064, spherical_jn)):
         r, a = radial_creep(dim, 0.3, 2.0, lambda s, k=k, f=f: f(0, k * s), 2000)
         assert a == pytest.approx(f(0, k * r) / (2.0 + 0.3 * k * k), abs=1e-6)
     r, a = radial_creep(3, 1.0, 4.0, lambda s: 2 * np.cos(2 * s))

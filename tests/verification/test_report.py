@@ -217,7 +217,7 @@ def test_resume_runs_errors_and_changed_cases_again(cases, tmp_path):
     assert "≤ 0.75" in (tmp_path / "r" / "report.md").read_text()
 
 
-def test_result_survives_json():
+def test_a_result_is_equal_after_json():
     plot = Plot("p", "x", "y", [Curve("c", [1.0], [2.0])])
     outcome = collected([("a", math.inf), Table("t", ["x"], [[1.5], ["text"]]), plot, "said"])
     result = Result(name="n", fingerprint="f", version="1", status="fails", seconds=1.5, outcome=outcome)

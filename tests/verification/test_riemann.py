@@ -22,4 +22,5 @@ def test_star_states_of_impact_and_expansion_are_right_to_two_per_cent():
     assert np.abs(run.ledger.column("closure_relative")).max() <= 1e-10
     for star in stars(run, 0.2):
         assert max(star.errors.values()) < 0.02
-        assert 1e-4 < abs(star.drift) < 0.02  # an error in time, absent by the midpoint rule
+        # the drift is an error in time, which the midpoint rule does not have
+        assert 1e-4 < abs(star.drift) < 0.02

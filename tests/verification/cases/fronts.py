@@ -21,7 +21,7 @@ CASES = Cases("Exact solutions: layers and fronts")
 def _stokes(creeping: bool) -> Measured:
     """Viscosity 1e-2 Pa s, as a Stokes viscosity or as the creep of a Maxwell fluid (lambda = 1 ms)."""
     eta, top, begin, end = 1e-2, 0.1, 0.25, 1.0
-    # exact for a fluid at t = 0.25 s: the jump at the wall has become a layer of 0.05 m
+    # the start is exact for a fluid at t = 0.25 s, when the jump at the wall has become a layer of 0.05 m
     profile, exact = (top * erf(y / (2 * math.sqrt(eta * t))) for t in (begin, end))
     table, curves = RateTable("error of v_1 at t = 1 s, relative to 0.1 m/s", "tau, s"), []
     ys = np.linspace(0.0, 1 - 1e-12, 41)

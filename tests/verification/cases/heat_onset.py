@@ -56,7 +56,7 @@ def _mode(plates: Plates, Ra: float) -> tuple[float, Polynomial, Polynomial]:
     points = np.cos(np.pi * np.arange(n + 1) / n)
     weights = np.r_[2, np.ones(n - 1), 2] * (-1.0) ** np.arange(n + 1)
     D = np.outer(weights, 1 / weights) / (points[:, None] - points + np.eye(n + 1))
-    D = 2 * (D - np.diag(D.sum(axis=1)))  # acts on values at Chebyshev's points
+    D = 2 * (D - np.diag(D.sum(axis=1)))  # the matrix D differentiates values at Chebyshev's points
     one, zero = np.eye(n + 1), np.zeros((n + 1, n + 1))
     laplace = D @ D - k * k * one
     A = np.block([[laplace @ laplace, -Ra * k * k * one], [one, laplace]])

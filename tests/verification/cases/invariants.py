@@ -97,7 +97,8 @@ class PrintedCofactor(Cofactor):
     def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
         F = z["F"]
         change = L * F - F * Pi
-        return Cof(F + change) - Cof(F) - Cof(change)  # the derivative of Cof, which is quadratic
+        # the derivative of Cof in the direction ``change``: Cof is quadratic
+        return Cof(F + change) - Cof(F) - Cof(change)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -186,9 +186,9 @@ def closed_form(name: str, t: np.ndarray) -> np.ndarray:
         return 1 / spring - (1 / spring - 1 / whole) * np.exp(-t * spring / (tau * whole))
     (g_1, t_1), (g_2, t_2) = modes.values()
     eta = g_1 * t_1 + g_2 * t_2
-    whole, s = g_1 + g_2, (g_1 * t_1 + g_2 * t_2) / ((g_1 + g_2) * t_1 * t_2)  # 1/(retardation time)
+    whole, s = g_1 + g_2, (g_1 * t_1 + g_2 * t_2) / ((g_1 + g_2) * t_1 * t_2)  # s is 1/(retardation time)
     # 1/(s^2 G(s)) by partial fractions: t/eta + 1/whole + (1 - e^(-s t)) rest
-    slope = (g_1 / t_1 + g_2 / t_2) / whole**2  # J'(0)
+    slope = (g_1 / t_1 + g_2 / t_2) / whole**2  # the slope is J'(0)
     rest = (slope - 1 / eta) / s
     return 1 / whole + t / eta + rest * (1 - np.exp(-s * t))
 

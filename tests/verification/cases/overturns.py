@@ -59,7 +59,7 @@ def _grown(ratio: float) -> tuple[np.ndarray, float]:
         nv.Body(name="layer", where=height, material=solid, density=1.0),
         nv.Body(name="fluid", material=fluid(STIFF), density=LIGHT_FLUID, viscosity=stokes(THIN_FLUID)),
     )
-    s = 1 - IfPos(height, height, -height) / DEEP  # zero at the walls, one at the face
+    s = 1 - IfPos(height, height, -height) / DEEP  # s is 0 at the walls and 1 at the face
     slope = 6 * s * (1 - s) * IfPos(height, -1.0, 1.0) / DEEP
     velocity = SPEED * CF((-slope / k * sin(k * x), s * s * (3 - 2 * s) * cos(k * x)))
     run = nv.Simulation(

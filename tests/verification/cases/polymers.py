@@ -170,7 +170,7 @@ Kupferman's paper, read off by Basilisk's authors (lid-oldroydb.kinetic), with t
 def _under_lid(mesh: Mesh) -> nv.Simulation:
     """Fattal and Kupferman's cavity (2005) at Wi = 1 and Re = 0.01, where chains cause half of the viscosity
     of 1 Pa s."""
-    started = 2 - 2 / (1 + exp(16 * (nv.time - 0.5)))  # 1 + tanh(8 (t - 1/2))
+    started = 2 - 2 / (1 + exp(16 * (nv.time - 0.5)))  # this is 1 + tanh(8 (t - 1/2))
     walls: Conditions = {
         "top": nv.PrescribedTangential((8 * started * (x * (1 - x)) ** 2, 0.0)),
         ("left", "right", "bottom"): nv.NoSlip(),

@@ -225,7 +225,7 @@ def _plate(eta: float, times: np.ndarray) -> np.ndarray:
     q, height = np.pi / PLATE[0], PLATE[1]
     a = 2 / q * (np.cosh(q * height) - 1) / (np.sinh(q * height) + q * height)
     c = 2 / q * (np.cosh(q * height) + 1) / (np.sinh(q * height) - q * height)
-    above = np.array([K_PLATE + 4 / 3 * G_PLATE, K_PLATE])  # C (s + 1) is above/below
+    above = np.array([K_PLATE + 4 / 3 * G_PLATE, K_PLATE])  # the ratio above/below is C (s + 1)
     above, below = np.polymul([1, 1], above), 4 * G_PLATE * np.array([K_PLATE + G_PLATE / 3, K_PLATE, 0])
     bent = np.polyadd(below, (a + c) / 2 * FOUNDATION * above)
     lower = -(c - a) / 2 * above, np.polymul(bent, [1, 0])
@@ -302,7 +302,8 @@ def _rebound(times: np.ndarray) -> np.ndarray:
     In the Laplace transform the surface has the stiffness 2 k mu (lambda + mu)/(lambda + 2 mu), with the mu =
     s/(1 + s) of Maxwell's body (Wu and Peltier 1982).
     """
-    waves = np.array([BULK_OF_ROCK + 4 / 3, BULK_OF_ROCK])  # (lambda + 2 mu) (1 + s)
+    # these are the coefficients of (lambda + 2 mu) (1 + s)
+    waves = np.array([BULK_OF_ROCK + 4 / 3, BULK_OF_ROCK])
     stiff = 2 * np.array([BULK_OF_ROCK + 1 / 3, BULK_OF_ROCK, 0])
     over = np.polymul([1, 1], waves)
     shares, roots, _ = residue(over, np.polymul(np.polyadd(over, stiff), [1, 0]))
