@@ -133,7 +133,7 @@ MUTANTS = [
             "Grueneisen's parameter",
             "return self._Gamma * (log(J) if self.is_absolute else J - 1)",
             "return -self._Gamma * (log(J) if self.is_absolute else J - 1)",
-            SIGNS + "test_hot_matter_presses_outward",
+            SIGNS + "test_a_temperature_rise_causes_the_thermal_pressure",
         ),
     ),
     *_of(

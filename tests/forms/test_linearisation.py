@@ -58,7 +58,7 @@ def test_linearisation_of_the_whole_residual_equals_its_central_difference(case:
 
 
 @pytest.mark.parametrize("case", CASES[:4], ids=str)
-def test_a_block_for_each_variable_changes_no_coefficient(case: Case) -> None:
+def test_rows_by_blocks_of_variables_equal_rows_by_vectors(case: Case) -> None:
     """Rows and free unknowns of the step's form equal those of a form with z and zeta as vectors."""
     step = step_of(case)
     randomise(step, 1)

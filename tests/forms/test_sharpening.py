@@ -180,7 +180,7 @@ def test_sharpened_tensors_keep_their_slopes_in_cells(dim, rng):
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_shares_of_simplices_are_those_of_many_points(rng, dim):
+def test_shares_of_simplices_equal_counts_of_random_points(rng, dim):
     """Shares agree with counts of random points in the simplex, also for equal values at vertices. With a
     repeated vertex, points have the weight lambda of this vertex."""
     points = rng.dirichlet(np.ones(dim + 1), 200_000)

@@ -130,7 +130,7 @@ def test_plastic_strain_grows_by_the_equivalent_rate():
     assert run.fields["plastic_strain"](at) == pytest.approx(np.sqrt(2 / 3) * rate * 0.01, rel=0.02)
 
 
-def test_hot_matter_presses_outward():
+def test_a_temperature_rise_causes_the_thermal_pressure():
     """The pressure is Gamma c (theta - theta_R) = K alpha (theta - theta_R) as long as nothing has moved."""
     material = nv.Thermal(material=SOLID, c=2.0, theta_R=300.0, expansion=1e-3)
     start = nv.Initial(temperature=350.0)

@@ -597,7 +597,7 @@ PULLED = [
 
 
 @pytest.mark.parametrize(("dim", "scheme", "solver"), PULLED)
-def test_a_piston_around_a_disc_or_a_ball_widens_it(dim, scheme, solver):
+def test_a_piston_around_a_disc_or_a_ball_expands_the_body(dim, scheme, solver):
     """Walls that move by V t give E = V t^2/2 I and the pressure -dim (K + G/3 (3 - dim)) V t^2/2, up to
     V^2."""
     V, dt, end = 1e-3, 0.25, 0.5

@@ -81,8 +81,8 @@ def found(ranks, *names):
 
 GROUPS = {
     "of default": "split creep; delta, 2D, split",
-    # with the cases above, every mechanism runs once by one of the solvers; also in space, with oblique and
-    # curved walls
+    # with the cases above, every mechanism runs once by one of the solvers; cases in three dimensions, with
+    # oblique walls and with curved walls are among them
     "of CI": "carried; observed; sdirk2; adaptive; own term; channel; quadrilateral; slip disc; split; "
     "split crystal; split bodies; split apart; split parameters; split heated; split Yosida; "
     "split, two levels; split, Newton-Krylov; split, all regularisations; split own tableau; "

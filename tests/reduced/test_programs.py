@@ -48,7 +48,7 @@ def test_a_program_that_keeps_no_data_reads_them_at_each_call():
     assert np.array_equal(programs("product", function, C)["product"], 7.0 * C["a"])
 
 
-def test_a_function_that_changes_unseen_is_recorded_in_each_step():
+def test_a_function_whose_constants_change_is_recorded_in_each_step():
     calls, programs = run_steps(Function(False), [0.1] * 4)
     assert calls == [1, 2, 1, 1]
     assert programs.varying == {"product"}

@@ -93,7 +93,7 @@ def test_writing_a_file_of_stresses_costs_less_than_a_tenth_of_a_step(tmp_path):
     assert np.median(spent["file"]) < 0.1 * np.median(spent["step"])
 
 
-def test_a_velocity_alone_shares_the_points_of_its_cells(tmp_path):
+def test_a_file_of_the_velocity_alone_has_one_point_per_vertex(tmp_path):
     run = swirling()
     for names, count in ((["velocity"], run.mesh.nv), (["velocity", "density"], 3 * run.mesh.ne)):
         series = nv.VTKSeries(tmp_path / str(count), fields=names)
