@@ -218,7 +218,7 @@ class Bodies(Series):
             self.pairs = {f"gap_{one}_{other}": (one, other) for one, other in combinations(self._placed, 2)}
             self._units |= dict.fromkeys(self.pairs, "m")
         parts = (part for name in names for part in self.densities(name, step.now).values())
-        self._integrand = CF(tuple(parts))
+        self._integrand = CF(tuple(parts)).Compile()
         theta = material.fractions.at(step.now.z_tensors)  # type: ignore[attr-defined]
         self._theta = CF(tuple(theta[name] for name in names))
         sampler = simulation.sampler
