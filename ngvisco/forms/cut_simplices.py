@@ -26,7 +26,8 @@ values."""
 def share_above(values: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
     """Share of simplices in which linear functions with ``values`` at the vertices, (..., vertices), are > 0.
 
-    ``weights`` are the values at the vertices of a linear weight of volumes, None for the weight 1.
+    ``values`` have no unit.  ``weights`` are the values at the vertices of a linear weight of volumes, None
+    for the weight 1.
     """
     if weights is not None:
         doubled = [

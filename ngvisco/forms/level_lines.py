@@ -12,7 +12,7 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-from ngsolve import ET, CoefficientFunction, Mesh
+from ngsolve import ET, CoefficientFunction, Mesh, specialcf
 
 from ngvisco.forms.cut_simplices import level, share_above
 from ngvisco.forms.mesh.mesh_arrays import VERTICES
@@ -56,6 +56,7 @@ class LevelLines:
         theta: np.ndarray,
         radii: np.ndarray | None = None,
     ) -> None:
+        phi = phi / specialcf.mesh_size  # relative to each cell, as ``share_above`` expects
         self._mesh, self._phi, self._cells = mesh, phi, cells
         corners, self._pieces = subdivision(2, _PIECES)
         self._lambdas = barycentric(corners)

@@ -24,8 +24,8 @@ from ngvisco.physics.tensors import IDENTITY, Tensor, if_positive, sqrt
 from ngvisco.physics.variables import CreepFrame, PerVolume, Values, Variable
 
 NO_INTERFACE = 1e-6
-"""Least change of a fraction, or of a logarithm that bodies average, over a cell with an interface. The slope
-of a smaller change is rounding, whose direction has no meaning."""
+"""Least change of a fraction, of a relative compliance or of an averaged logarithm over a cell with an
+interface. The slope of a smaller change is rounding, whose direction has no meaning."""
 
 TRACE = 1e-3
 """An absent body counts with this share of the amount of all matter, at rest."""
@@ -206,8 +206,9 @@ class Parting:
 
     @property
     def interface(self) -> Interface:
-        """The interface whose quantity is the compliance."""
-        return Interface(tuple((name, 1 / K) for name, K in self.stiffnesses), self.fractions)
+        """The interface whose quantity is the compliance, relative to that of the softest body."""
+        least = min(K for _, K in self.stiffnesses)
+        return Interface(tuple((name, least / K) for name, K in self.stiffnesses), self.fractions)
 
     def shares(self, z: Values) -> dict[str, Any]:
         """The openings' shares o_i that do not strain the bodies, by the names of the bodies that part."""
