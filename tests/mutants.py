@@ -759,13 +759,13 @@ MUTANTS = [
             "first count of directions",
             "self._first = self._first or directions",
             "self._first = directions",
-            WEAR + "test_a_tangent_is_renewed_when_its_extra_directions_cost_as_much",
+            WEAR + "test_a_tangent_is_renewed_when_its_extra_directions_cost_as_much_as_a_renewal",
         ),
         (
             "cost of a renewal",
             "+ self._first) > self.cost",
             "+ self._first) > 2 * self.cost",
-            WEAR + "test_a_tangent_is_renewed_when_its_extra_directions_cost_as_much",
+            WEAR + "test_a_tangent_is_renewed_when_its_extra_directions_cost_as_much_as_a_renewal",
         ),
     ),
     *_of(

@@ -237,8 +237,8 @@ def test_gel_rings_down_by_its_loss_factor():
 @pytest.mark.long
 @pytest.mark.ci
 def test_glacier_flows_by_its_closed_form():
-    """The cells have a size of 0.2 m. As a control, half of the profile by a linear law has the same velocity
-    at the top, and does not agree."""
+    """The cells have a size of 0.2 m. As a control, the velocity of a linear law (n = 1), halved so that it
+    is the same at the top, does not agree."""
     demo, at = load("glacier"), np.linspace(0, 1, 21)
     run = demo.simulation(maxh=0.2, dt=0.4)
     ledger = run.run(12.0)

@@ -24,7 +24,7 @@ def simulation(
     loads = [nv.Gravity((-gravity, 0.0))] if gravity else []
     model = nv.Model(material=fluid, viscosity=nv.StokesViscosity(K_v=1e-4, G_v=1e-4), loads=loads)
     initial = nv.Initial(density=RHO_R, velocity=(1e-3 * sin(pi * x), 0.0), values=fluid.start(RHO_R, RHO_R))
-    # smooth upwinding on the scale of the sound: the flow's velocity vanishes twice a period
+    # the velocity scale is the speed of sound, since the flow's velocity vanishes twice a period
     time = nv.TimeSteps(dt=dt, scheme=scheme, velocity_scale=1.0)
     return nv.Simulation(box((1, 0.2), maxh=maxh), model, time=time, initial=initial, **options)
 

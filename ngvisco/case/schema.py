@@ -175,7 +175,7 @@ Checkpoint = section(Checkpoints, without=("path", "attributes"), is_whole=False
 
 
 class _Named(Section):
-    """The keys of one of several tables over time."""
+    """Keys that all named output tables have (probes, lines, integrals), of which a case may have several."""
 
     name: Annotated[str, Quantity(example="middle")] = Field(
         pattern="^[A-Za-z0-9_-]{1,60}$", description="Letters, digits, _ and -; the file is samples/NAME.csv"

@@ -359,7 +359,7 @@ class HeldVolumes:
             values_of(field)[0] = self._response.driving(name, states, self._J)
 
     def released(self) -> float:
-        """The energy, J, by which the equilibrium of pressure is below the energy with held volumes."""
+        """The stored energy with held volumes, less the stored energy in equilibrium of pressure, J."""
         states = self._states()
         energy = self._response.held_energy(states, self._J) - self._response(states).energy
         values_of(self._released)[0] = energy

@@ -234,7 +234,8 @@ class Sharpening:
         return np.clip(means[i] / means.sum(axis=0), 0, 1)
 
     def _defects(self, i: int, j: int, strips: np.ndarray) -> np.ndarray:
-        """Defect of the step's outflow of body i, (cells, facets), by the planes at the step's start.
+        """Outflow of body i in a step by the strips that cross the facets, less the transported outflow,
+        (cells, facets). The body's share of a strip follows from its planes or outlines at the step's start.
 
         Facets are numbered by their opposite corners; ``strips`` are the heights of the strips at the corners
         of facets, (cells, facets, corners of the facet), relative to the height of the cell.

@@ -97,7 +97,10 @@ class StateSpace:
         return _Tensors(self, components, parts)
 
     def density(self, components: Tensor, size: int = 1) -> Tensor:
-        """The density sum rho_i n_i of components; for entries (components, ``size``) all ``size`` sums."""
+        """The density sum rho_i n_i of components.
+
+        If each component has ``size`` entries, such as a gradient, the result has one sum for each entry.
+        """
         return linear_map(np.kron(self.densities, np.eye(size)), components, (size,))
 
     def components(self, values: Values) -> Tensor:

@@ -108,8 +108,12 @@ class Couplings:
         return [term for term in self.at_points if term.is_mass]
 
     def of_state(self) -> list[PointTerm]:
-        """Terms whose rows of z, stresses or weights depend on z or zeta, except rates and the elastic
-        force."""
+        """Terms that the tangent linearises in z: their rows of z or their stresses depend on z or zeta, or
+        their rows of v contain the density.
+
+        Terms that are not ``linearised``, such as transport and the elastic force, are left out unless they
+        weigh.
+        """
         stresses, terms = {id(term) for term in self.of_gradients()}, []
         for term in self.at_points:
             reads = self._rows[id(term)].names

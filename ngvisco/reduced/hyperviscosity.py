@@ -42,8 +42,11 @@ class SideJumps:
     def __init__(
         self, hyper: MatrixHyperviscosity, op: PointOperators, other: SideJumps | None = None
     ) -> None:
-        """``other`` has the jumps at another rule's points; its nodes are used here too if all values follow
-        from them."""
+        """``other`` are the jumps at the points of another rule.
+
+        If the values at this rule's points follow from the values at the nodes of ``other``, both share these
+        nodes.
+        """
         matrix = op.points.operator(hyper.component, lambda u: hyper.fields_of(u).jump[0])
         shared = None if other is None else other.jump
         self.jump: LocalMatrix = LocalMatrix(

@@ -267,8 +267,10 @@ def averaged(points: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def places(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The first point at each place, and the number of each point's place; places are equal to a tolerance
-    times the size."""
+    """Distinct places: the index of the first point at each, and for each point the number of its place.
+
+    Coordinates that are equal after rounding to ``_SAME`` times the size are one place.
+    """
     size = float(np.ptp(points, axis=0).max(initial=0.0)) or 1.0
     rounded = np.round(points / (_SAME * size)).astype(np.int64)
     _, first, number = np.unique(rounded, axis=0, return_index=True, return_inverse=True)

@@ -43,8 +43,11 @@ class Cut:
 
     @classmethod
     def of(cls, corners: np.ndarray, points: np.ndarray, values: np.ndarray, level: float) -> Cut:
-        """Cut triangles with ``corners``, (triangles, 3, columns), and with numbers of points and values at
-        the corners, (triangles, 3)."""
+        """The cut of triangles at a level.
+
+        ``corners`` are (triangles, 3, columns); ``points`` and ``values`` have the number of the point and
+        the function's value at each corner, (triangles, 3).
+        """
         a, b = corners[:, 1, :2] - corners[:, 0, :2], corners[:, 2, :2] - corners[:, 0, :2]
         turned = a[:, 0] * b[:, 1] < a[:, 1] * b[:, 0]
         order = np.where(turned[:, None], [0, 2, 1], [0, 1, 2])

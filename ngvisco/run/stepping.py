@@ -96,8 +96,10 @@ class TimeSteps:
         the other solver; with 0 a step is not halved.  The run tries the first solver again after 16 steps.
     velocity_scale : float, optional
         A typical velocity, from which a typical curvature of v follows.  Below this curvature, the penalty
-        of the hyperviscosity is constant.  The default is the velocity of flow, walls, free fall or elastic
-        release, or a tenth of the speed of sound in a body at rest.
+        of the hyperviscosity is constant.  The estimate of errors adds this velocity to the size of v, and
+        the ledger adds the mass times this velocity to the momentum with which defects are compared.  The
+        default is the velocity of flow, walls, free fall or elastic release, or a tenth of the speed of
+        sound in a body at rest.
     adaptive : AdaptiveSteps, optional
         Bounds of step lengths that the run chooses; without this table all steps have one length.
     """

@@ -56,8 +56,8 @@ class Follower:
     def finish(self, recorded: RecordedStep, states: Sequence[Evolved]) -> None:
         """Set the step's start for the evaluation of columns at the end of a step.
 
-        A combined end is no stage's solution: there the start is the weighted sum of ``states``, y_0, y_1,
-        ..., which equals the end. At other ends the start of the last stage stays.
+        If the end of the step combines its stages, the weighted sum of ``states`` y_0, y_1, ... is the end,
+        and becomes the start here. If the end is the last stage's solution, the start of that stage is kept.
         """
         if recorded.is_combined:
             self.step.start_from(list(zip(recorded.weights, states, strict=True)))

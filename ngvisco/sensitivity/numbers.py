@@ -195,7 +195,8 @@ class Numbers:
         return ends, integrals
 
     def parts(self, history: History) -> np.ndarray:
-        """Values of the parts, (parts, ...), for the columns in ``history``."""
+        """Values of the numbers before misfits are summed, (parts, ...): a misfit has one part for each
+        datum, another number has one."""
         values = []
         for number in self.wanted:
             parts = zip(self._weights(number, history.times), (history.ends, history.integrals), strict=True)

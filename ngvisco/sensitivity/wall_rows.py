@@ -12,7 +12,8 @@ from ngvisco.sensitivity.follower import Follower
 
 
 class WallRows:
-    """Weights c of the residual's rows in columns, c . R(u; .), and the products R_u^T c.
+    """Columns that are weighted sums c . R(u; .) of the residual's rows: the weights c, and the slopes
+    R_u^T c.
 
     The weights of the rows are (numbers, unknowns); they follow from the weights of the columns in the
     numbers, (numbers, columns).  A force has constant c; the power of a moving wall has c = v on the wall.

@@ -314,7 +314,7 @@ def test_argument_has_an_effect_or_is_refused(argument):
 
 
 @pytest.mark.parametrize("observed", one_of(3, OBSERVED), ids=".".join)
-def test_argument_of_a_class_that_writes_has_an_effect(observed, tmp_path):
+def test_arguments_of_observers_that_write_output_have_an_effect(observed, tmp_path):
     name, argument = observed
     cls, needed, of = HOW[name]
     found = []

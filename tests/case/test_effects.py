@@ -282,7 +282,7 @@ def test_a_key_has_an_effect_or_is_refused(entry, kind, tmp_path):
     assert found[0] != found[1], f"{entry.name} has no effect"
 
 
-def test_keys_without_an_effect_in_a_square_have_another_test():
+def test_keys_left_out_of_the_sweep_occur_in_another_test():
     for key, module in ELSEWHERE.items():
         text = (ROOT / module).read_text()
         name = key.split()[0].split(".")[-1]

@@ -150,7 +150,7 @@ def test_corners_of_tetrahedra_are_reported():
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_a_divided_corner_is_held_by_the_pressure():
+def test_split_corner_cells_bound_the_density_under_a_lid():
     """In the corner cell of 0.33 m under the lid, the density grows by the factor e in 0.33 s."""
     change = {}
     for split in (False, True):

@@ -123,8 +123,8 @@ ACTS = {
 
 
 def assert_same_ledger(one, several, spare=0):
-    """Assert that energies, dissipations and minima agree to 1e-10 of their size, and iterations except for
-    some."""
+    """Assert that energies, dissipations and minima agree to 1e-10 of their size, and that numbers of
+    iterations differ by at most ``spare``."""
     energy = one[0]["kinetic"] + one[0]["stored"]
     for row, other in zip(one, several, strict=True):
         assert abs(row["newton_iterations"] - other["newton_iterations"]) <= spare

@@ -174,7 +174,7 @@ def test_stress_traction_and_width_are_measured_in_three_dimensions():
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_gaps_are_measured_between_two_bodies_with_places():
+def test_a_gap_is_measured_between_two_bodies_that_have_a_region():
     run = run_with(("one", nv.Ball((0.25, 0.5), 0.15)), ("two", nv.Ball((0.7, 0.5), 0.2)), maxh=0.07)
     # the tolerance is a tenth of a cell
     assert measured(run, "gap")("gap_one_two") == pytest.approx(0.1, abs=0.007)

@@ -165,10 +165,14 @@ def test_the_velocity_scale_of_a_start_from_rest_is_known_after_a_step():
     assert not any("cells in a step" in line for line in after.advice)
 
 
-def test_a_strip_has_the_length_between_its_walls_and_is_slow_without_inertia():
+def test_the_length_of_a_periodic_strip_is_the_distance_of_its_walls():
     found = column()
-    assert found.length == found.extent == pytest.approx(1.0) and found.is_slow
-    assert found.advice == []
+    assert found.length == found.extent == pytest.approx(1.0)
+
+
+def test_a_motion_without_inertia_is_slow_and_gets_no_advice():
+    found = column()
+    assert found.is_slow and found.advice == []
     followed = replace(found, dt=0.1 * found.passage, longest=0.1 * found.passage)
     assert followed.advice and not followed.is_slow  # these steps are short enough to follow the waves
     # the first step of a run that chooses its steps gives no advice
@@ -206,8 +210,7 @@ def test_cells_across_each_body_are_counted():
 
 
 def test_at_rest_the_velocity_scale_is_that_of_walls_or_of_waves():
-    """The velocity scale has the units of the problem. It alone determines the smoothing width of the
-    upwinding."""
+    """The velocity scale is the velocity of a wall, or a tenth of the speed of waves."""
     model = nv.Model(material=NEO_HOOKEAN)
     still = nv.Simulation(box((1, 1), 0.6), model, dt=0.01, initial=nv.Initial(density=4.0))
     speed = math.sqrt(moduli(NEO_HOOKEAN, 2)[0] / 4.0)

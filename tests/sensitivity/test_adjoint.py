@@ -66,7 +66,8 @@ class Still:
 @pytest.mark.parametrize("solver", ["coupled", by_ci("split")])
 @pytest.mark.parametrize("scheme", [by_ci("backward-euler"), by_ci("midpoint"), "sdirk2"])
 def test_products_of_tangent_and_adjoint_are_equal(scheme, solver):
-    """The products change start values, so that they do not contain differences by parameters."""
+    """Both products are derivatives along a random change of the start values, so that neither contains a
+    difference by a parameter."""
     numbers = {name: text for name, text in OF.items() if name != "stress"} | FORCES
     by_tangent, by_adjoint = directional(partial(run, solver=solver), scheme, numbers)
     assert abs(by_adjoint / by_tangent - 1).max() < 1e-10

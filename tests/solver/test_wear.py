@@ -36,7 +36,7 @@ def test_an_easy_first_increment_causes_at_most_one_useless_renewal():
     assert len(renewals(directions, directions)) == 1
 
 
-def test_a_tangent_is_renewed_when_its_extra_directions_cost_as_much():
+def test_a_tangent_is_renewed_when_its_extra_directions_cost_as_much_as_a_renewal():
     assert renewals(10 * [20], 10 * [10]) == [4, 9]
     assert renewals(10 * [13], 10 * [10]) == []
 

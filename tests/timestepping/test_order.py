@@ -1,8 +1,6 @@
 """Second order in time of v, rho and z: all materials, loads and lids that change in time, passive fields.
 
-One mesh, steps tau, tau/2, tau/4: successive differences fall by 4.  The upwinding is smooth here (eta = 0.3
-m/s): with sharp upwinding the equations in time would only be piecewise smooth, since v.n changes its sign
-within facets.
+One mesh, steps tau, tau/2, tau/4: successive differences fall by 4.
 """
 
 import math

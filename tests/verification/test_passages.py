@@ -153,7 +153,7 @@ def test_a_wall_s_displacement_is_the_integral_of_its_velocity(scheme, solver):
 
 
 def test_a_step_of_the_density_is_carried_out_without_a_reflection():
-    """v = (1, 0) is exact; with m = k = 2, v . w is in the density's space, and upwind sides are smoothed."""
+    """v = (1, 0) is exact; with m = k = 2, v . w is in the density's space."""
     run = nv.Simulation(
         structured_box((1, 0.25), (4, 1)),
         nv.Model(material=nv.LinearElastic(K_e=K, G_e=G)),

@@ -45,7 +45,8 @@ from ngvisco.parallel.communicator import Communicator
 from ngvisco.words import Words, call
 
 _PARALLEL = 1e-10
-_FLAT = 1e-4  # rad: largest angle of two facets in one plane, by rounded coordinates
+# rad: a smaller angle between two facets is rounding of coordinates; the facets lie in one plane
+_FLAT = 1e-4
 _CORNER = np.deg2rad(59.0)  # a larger angle is a corner of the domain, not of its approximation
 _CURVED = 0.5  # largest ratio of the facets' angle to their chords' angle; 1 if straight
 

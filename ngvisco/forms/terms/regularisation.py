@@ -105,7 +105,8 @@ class FieldDiffusion(PointTerm):
         """The part of the form with constant matrices, which are equal for all components; the factors delta
         and C are left out.
 
-        The rows of zeta are the penalty's rows in the equations of z; the slope's row omits phi''.
+        Rows tested by zeta are the penalty in the equations of z. The equation of the slope q is given
+        without its part phi'' q.
         """
         weight, jump, across = self._weight(u), u.zeta_delta_hat - u.zeta, self._across(u)
         facets = [*self.lifting(u, w, jump), inner(across, w.z_slope_hat), -weight * inner(jump, w.zeta)]

@@ -160,9 +160,10 @@ class HyperDerivative:
 
 
 class _Interpolated:
-    """Values at points of functions with ``blocks``, (cells, points, functions), and the transpose.
+    """Map of coefficients to values at points by the matrices ``blocks``, (cells, points, functions), and its
+    transpose, ``tested``.
 
-    One constant function needs no products.
+    A single constant function is handled without matrix products.
     """
 
     def __init__(self, blocks: np.ndarray) -> None:

@@ -208,7 +208,8 @@ class TransportSweeps:
         return result
 
     def _without_slopes(self, at: Evaluation) -> np.ndarray:
-        """Values of a cell's basis functions in the cell's middle, for each point of its sides."""
+        """Basis functions at the points of the sides, less their slopes times the distance ``reach`` from the
+        cell's middle; unchanged if ``reach`` is None."""
         reach = at.facets.context.reach
         if self._flat is None:
             self._flat = flat = self.residual.side_op.z.blocks.copy()

@@ -227,7 +227,7 @@ def _bending() -> Measured:
         {**rock, "creep": nv.Creep(G_m=2e24)},
         {**weak, "material": fluid(OF_ALL)},
         CF((0.0, -FALL)) * IfPos(LOADED * KYR - nv.time, 1.0, 0.0),
-        # velocity scale: twenty times the slab's velocity; upwind sides change within 1e-12 m/s
+        # velocity scale: twenty times the slab's velocity
         nv.TimeSteps(dt=KYR, velocity_scale=1e-8),
         50 * KYR,
     )

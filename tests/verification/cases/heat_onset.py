@@ -117,7 +117,6 @@ def _rolls(plates: Plates, Ra: float, amplitude: float) -> np.ndarray:
     run = nv.Simulation(
         mesh,
         model,
-        # upwinding is smoothed above the roll's velocity, so that it is linear in the velocity
         time=nv.TimeSteps(dt=0.01, scheme="midpoint", velocity_scale=100.0),
         initial=start,
         walls=walls,
@@ -227,4 +226,3 @@ def _in_time() -> Measured:
         table.add(0.1 / steps, **separation(fine, coarse))
     yield from table.lasts()
     yield table
-    yield "The upwinding is smooth up to 30 m/s: with 0.3 m/s rho has the rate 1.4, with 3 m/s 1.8."

@@ -69,7 +69,8 @@ def _layered(
 
 
 def _until(end: float, run: nv.Simulation, of: Callable[[nv.Simulation], Any]) -> np.ndarray:
-    """Times, s, until an end, and values of a function then; steps without a solution are halved."""
+    """Advance the run to ``end``, s; return the times of its steps, s, and the values of ``of`` at these
+    times."""
     found = [(run.t, *np.ravel(of(run)))]
     while run.t < end * (1 - 1e-9):
         run.advance()

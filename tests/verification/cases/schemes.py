@@ -217,7 +217,6 @@ def _manufactured(scheme: str, kind: str) -> Measured:
         table.add(duration / n, **separation(fine, coarse))
     yield from table.lasts()
     yield table
-    yield "The upwinding is smooth here (0.3 m/s): a sharp one makes v piecewise smooth in time."
 
 
 for scheme in SECOND_ORDER:
