@@ -5,7 +5,7 @@ strains in the Eulerian frame" (2024) on Netgen/NGSolve.  Labels in docstrings, 
 ED-Euler-large2, denote the paper's equations.
 """
 
-import ngvisco.interrupts  # noqa: F401  # isort: skip (before the imports that take long)
+from ngvisco import interrupts as _interrupts  # noqa: F401  # isort: skip (before the imports that take long)
 import importlib.metadata
 import importlib.util
 from pathlib import Path

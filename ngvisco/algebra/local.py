@@ -25,6 +25,11 @@ SAMPLE, NEGLIGIBLE = 100, 1e-12
 rounding."""
 
 
+def are_ones(values: np.ndarray) -> bool:
+    """Whether all values are 1 up to rounding."""
+    return np.allclose(values, 1.0, rtol=0, atol=NEGLIGIBLE)
+
+
 class Functions(NamedTuple):
     """Functions on sides, by their values at the nodes."""
 
@@ -116,7 +121,7 @@ class LocalMatrix:
         """Whether in each cell all rows are equal up to rounding."""
         if self.shape is None or self.nodal.shape[2] != 1:
             return False
-        return np.allclose(self.shape, 1.0, rtol=0, atol=NEGLIGIBLE)
+        return are_ones(self.shape)
 
     @property
     def blocks(self) -> np.ndarray:

@@ -77,7 +77,7 @@ class Section(BaseModel):
                 self.built  # noqa: B018
             except UnknownNameError as error:  # a KeyError, which pydantic would let through
                 raise ValueError(str(error)) from error
-        for name in self.model_fields_set:
+        for name in (name for name in type(self).model_fields if name in self.model_fields_set):
             value = getattr(self, name)
             if isinstance(value, float) and value and not LEAST <= abs(value) <= 1 / LEAST:
                 zero = "0, or " * (declaration(type(self), name).number(0) is not None)

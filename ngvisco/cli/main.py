@@ -13,6 +13,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from ngvisco import interrupts
 from ngvisco.cli import streams
 from ngvisco.cli.streams import BAD_FILE, BAD_INPUT, FAILED, INTERRUPTED
 from ngvisco.words import Words, words_of
@@ -248,6 +249,7 @@ def _on_ranks(options: argparse.Namespace) -> int:
 
 def _ended(options: argparse.Namespace) -> int:
     """Run the chosen command; turn an exception into a message and an exit code."""
+    interrupts.end()
     try:
         code = _command(options.command)(options)
         sys.stdout.flush()

@@ -20,7 +20,7 @@ two bodies negative means are filled up too, and one factor for all slopes bring
    that theta_i is in [0, 1]; n_j becomes the rest of n_i + n_j, and X becomes n B.  B has the slopes
    of the quotient X/n that the step has carried, projected with the weight n, and the mean that keeps int X.
 3. *Determinants.*  At corners of cells det B gets the value that follows from N.  Where det B was too small,
-  a share of the change is made, the same share everywhere, so that the sum of the energies does not rise.
+   a share of the change is made, the same share everywhere, so that the sum of the energies does not rise.
 
 The normal of the plane that bounds body i in a cell is the slope of theta_i averaged at the vertices; the
 plane cuts off the mean of theta_i from the cell.  The strip is a prism between the facet and its place

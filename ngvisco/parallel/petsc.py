@@ -58,7 +58,7 @@ def petsc() -> Any:
         from petsc4py import PETSc
     except ImportError as error:
         raise PETScError(f"{MISSING} ({error})") from error
-    # without a communicator of all ranks, PETSc would make one at its end, and wait for ranks that do
+    # without a communicator of all ranks, PETSc would make one at its end, and wait there for failed ranks
     PETSc.COMM_WORLD.duplicate()
     _loaded.append(PETSc)
     return PETSc

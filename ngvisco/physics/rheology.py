@@ -277,7 +277,8 @@ class LinearViscosity(Viscosity):
         shape = (3, 3, 3, 3) if self.notation == "tensor" else (6, 6)
         expected = f"{'x'.join(map(str, shape))} finite numbers in the notation {self.notation!r}"
         if (array := as_array(self.D)).shape != shape:
-            raise ParameterError("LinearViscosity.D", self.D, expected)
+            given = f"an array of shape {array.shape}" if array.size else self.D
+            raise ParameterError("LinearViscosity.D", given, expected)
         if self.notation == "tensor":
             for axes, names in (((1, 0, 2, 3), "jikl"), ((0, 1, 3, 2), "ijlk"), ((2, 3, 0, 1), "klij")):
                 _require_equal(array, array.transpose(axes), f"D_ijkl = D_{names}")

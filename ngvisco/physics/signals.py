@@ -6,6 +6,7 @@ sign within the step.
 """
 
 import csv
+import re
 from collections.abc import Iterator, Sequence
 from os import PathLike, fspath
 
@@ -19,6 +20,8 @@ time = Parameter(0.0)
 """Time in seconds, for functions that depend on it; its value is the end of the last step."""
 
 _PLACES = (0.1, 0.35, 0.6, 0.9)
+_NUMBER = re.compile(r"[+-]?\.?\d|[+-]?(nan|inf)", re.IGNORECASE)
+"""How a number begins."""
 
 
 def reads_time(function: CoefficientFunction) -> bool:
@@ -174,26 +177,28 @@ def _rows_from(times: Sequence[float], values: Sequence[float] | Sequence[Sequen
 def number_rows(field: str, source: str | PathLike[str]) -> np.ndarray:
     """The rows of numbers in a CSV file, (rows, columns), without comments after # and a line of names.
 
-    Commas or semicolons separate the numbers.  Raises ParameterError for the parameter ``field``.
+    Semicolons separate the numbers if the file has any, else commas.  No name begins like a number.  Raises
+    ParameterError for the parameter ``field``.
     """
     path = fspath(require_file(field, source))
     try:
-        with open(path, newline="", encoding="utf-8") as file:
-            cells = csv.reader(line.partition("#")[0].replace(";", ",") for line in file)
-            lines = [(n, row) for n, row in enumerate(cells, 1) if any(map(str.strip, row))]
+        with open(path, encoding="utf-8-sig") as file:
+            texts = [(n, line.partition("#")[0].strip()) for n, line in enumerate(file, 1)]
+        mark = ";" if any(";" in text for _, text in texts) else ","
+        lines = [(n, text, *csv.reader([text], delimiter=mark)) for n, text in texts if text]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise ParameterError(field, path, f"a CSV file that can be read ({error})") from None
     rows: list[list[float]] = []
-    for number, parts in lines:
+    for number, text, parts in lines:
+        if number == lines[0][0] and not any(_NUMBER.match(part.strip()) for part in parts):
+            continue  # line of the columns' names
         try:
             rows.append([float(part) for part in parts])
         except ValueError:
-            if number == lines[0][0]:
-                continue  # line of the columns' names
-            expected = f"numbers in line {number} of {path!r}"
-            raise ParameterError(field, ",".join(parts), expected) from None
-        if len(rows[-1]) != len(rows[0]):
-            count = f"{len(rows[-1])} numbers"
-            expected = f"{len(rows[0])} numbers in line {number} of {path!r}, as in the lines before"
+            expected = f"numbers like 0.5 with {mark!r} between them in line {number} of {path!r}"
+            raise ParameterError(field, text, expected) from None
+        if len(parts) != len(lines[0][2]):
+            count = f"{len(parts)} numbers"
+            expected = f"{len(lines[0][2])} numbers in line {number} of {path!r}, as in the lines before"
             raise ParameterError(field, count, expected)
     return np.array(rows).reshape(len(rows), -1 if rows else 0)

@@ -176,7 +176,7 @@ def read_series_files(directory: str | os.PathLike[str]) -> list[tuple[float, Pa
 def read_pvd(path: Path) -> list[tuple[float, str]]:
     """(time, file) of every data set in a .pvd file; empty if there is no such file.
 
-    Raises CheckpointError if the file was not written by ``write_pvd``, or is damaged.
+    Raises CheckpointError if the file was not written by ``StateFiles``, or is damaged.
     """
     if not path.exists():
         return []

@@ -8,7 +8,7 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any, Protocol, cast
 
 from ngsolve import Mesh
@@ -37,6 +37,9 @@ from ngvisco.run.state import RunState
 from ngvisco.run.stepping import Rejection, TimeSteps, time_steps
 from ngvisco.solver.options import Method, NewtonOptions
 from ngvisco.threads import computing
+
+_STEPS = {field.name for field in fields(TimeSteps)}
+"""Arguments of the class that are parameters of ``TimeSteps``."""
 
 
 class Observer(Protocol):
@@ -149,7 +152,9 @@ class Simulation(RunState):
         self.observers = list(observers)
         self.interruption = Interruption(self)
         self.self_contact = SelfContact(step, self.ranks)
-        self._kept = {"mesh", "model", *self.arguments, "dt", "scheme", "adaptive"}
+        self._kept = {"mesh", "model", *self.arguments, *_STEPS} - {
+            "velocity_scale"
+        }  # which a resumed run sets
 
     def __setattr__(self, name: str, value: object) -> None:
         if name in vars(self).get("_kept", ()):  # the run would not read the value
@@ -163,6 +168,8 @@ class Simulation(RunState):
         ``nv.transfer`` carries the present state over to it.
         """
         arguments = {"model": self.model, **self.arguments, "observers": self.observers}
+        if "time" not in changes and (steps := {n: changes.pop(n) for n in _STEPS & changes.keys()}):
+            changes["time"] = replace(self.arguments["time"], **steps)
         return Simulation(mesh, **arguments | changes)
 
     def _repr_html_(self) -> str:

@@ -32,8 +32,8 @@ _REFUSED = {
     SIZE: "this column has kinks where matter comes to rest",
     RELATIVE: "this column is relative to the largest values of all steps and directions",
 }
-"""Reasons why columns of the ledger have no derivative. The other columns without a derivative describe the
-choice of a step's length."""
+"""Reasons why columns of the ledger have no derivative. Other columns without a derivative have the reason
+``_FROZEN`` if they are entries of the balance, else ``_OF_LENGTH``."""
 NORMS = ("J_defect", "defect_rms")
 """Columns of norms of defects; they have no derivative where they are zero."""
 

@@ -7,6 +7,7 @@ import pytest
 import ngvisco as nv
 from ngvisco.case.build import load_case, parse_case
 from ngvisco.case.faults import CaseError
+from ngvisco.physics.signals import number_rows
 
 CASE = """
 [units]
@@ -76,6 +77,30 @@ def test_bad_tables_are_faults_of_their_keys(tmp_path, old, new, message):
     with pytest.raises(CaseError, match=message) as caught:
         load_case(written(tmp_path, CASE.replace(old, new)))
     assert ":18: loads.0.g" in str(caught.value)
+
+
+NUMBERS = {
+    "names": ("t,p\n0,1\n1,2\n", None),
+    "no names": ("0,1\n1,2\n", None),
+    "semicolons, comments, empty lines": ("# s; Pa\n\n t ; p\n0; 1 # first\n1;2\n", None),
+    "quotes": ('"t","p"\n"0","1"\n"1","2"\n', None),
+    "a mark of the byte order": ("\ufeff0,1\n1,2\n", None),
+    "a misspelt first number": ("0,1.0s\n1,2\n", "'0,1.0s': expected numbers like 0.5 .* in line 1"),
+    "decimal commas": ("t;p\n0,0;1,0\n1,0;2,0\n", "'0,0;1,0': expected numbers like 0.5 with ';'"),
+    "a name too few": ("t\n0,1\n1,2\n", "'2 numbers': expected 1 numbers in line 2"),
+    "words": ("t,p\n0,1\nend,end\n", "'end,end': expected numbers .* in line 3"),
+}
+
+
+@pytest.mark.parametrize("kind", NUMBERS)
+def test_files_of_numbers_are_read_whole_or_refused_with_the_line(tmp_path, kind):
+    text, message = NUMBERS[kind]
+    (path := tmp_path / "numbers.csv").write_text(text, encoding="utf-8")
+    if message is None:
+        assert number_rows("table", path).tolist() == [[0, 1], [1, 2]]
+    else:
+        with pytest.raises(nv.ParameterError, match=f"table = {message}"):
+            number_rows("table", path)
 
 
 PRESSED = CASE.replace('kind = "Traction"\nf = { file = "pull.csv" }', 'kind = "Open"\npressure = PRESSURE')

@@ -326,7 +326,7 @@ def test_a_run_ends_before_a_part_of_a_step_that_is_not_solved(monkeypatch):
     assert [r.tau for r in watch.seen] == pytest.approx([DT, DT / 2, DT / 4])
 
 
-@pytest.mark.parametrize("name", ["dt", "scheme", "adaptive", "model", "walls", "solver"])
+@pytest.mark.parametrize("name", ["dt", "startup", "adaptive", "model", "walls", "solver"])
 def test_an_argument_of_a_run_cannot_be_assigned_later(name):
     run = simulation()
     said = rf"Simulation\.{name} = 0\.1: .* Simulation\.on, .* nv\.transfer"
@@ -334,3 +334,9 @@ def test_an_argument_of_a_run_cannot_be_assigned_later(name):
         setattr(run, name, 0.1)
     run.observers, run.note = [], "an attribute of the user"
     assert run.dt == 0.02 and run.advance()["dt"] == 0.02
+
+
+def test_a_run_is_made_again_with_another_step_length_and_the_same_scheme():
+    run = swirling(dt=0.02, scheme="midpoint")
+    again = run.on(run.mesh, dt=0.01)
+    assert (again.dt, again.arguments["time"].scheme) == (0.01, "midpoint") and run.dt == 0.02

@@ -101,7 +101,7 @@ def rigid_motions(mesh: Mesh, width: int, count: int) -> np.ndarray:
     return motions
 
 
-_OPPOSED = 1e-6  # largest |sum| of the normals on both sides, over the facet's area
+_OPPOSED = 1e-6  # largest |sum| of the normals on both sides, over twice the facet's area
 
 
 def facets_with_two_sides(mesh: Mesh) -> np.ndarray:

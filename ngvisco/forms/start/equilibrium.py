@@ -18,7 +18,7 @@ high of 2 kg/m^3 with K_e = 50 Pa under 1 m/s^2, velocities were 0.042 m/s with 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from ngsolve import (
@@ -58,10 +58,13 @@ from ngvisco.physics.tensors import if_positive
 _ROUNDS, _STEPS = 100, 60
 """Largest numbers of iterations of the density, and of Newton steps for the volume."""
 _CONVERGED = 1e-12
-"""Change of J over its largest value at which the iterations end."""
+"""Change of J over its largest value at which the iterations end, those of the density and Newton's for J."""
 _FACTOR = 4.0
-"""Largest factor of J in an iteration of the density.  Where matter is too dense at first, the pressure below
-the weight above has no J, until the matter has expanded."""
+"""Largest factor of J in an iteration of the density.  If matter is too dense at first, its weight exceeds
+the pressure at the ground.  The pressures aloft are then negative and have no J, until the matter has
+expanded."""
+_FAR = 1e6
+"""Factor from 1 beyond which J has gone where the bulk law has no J."""
 _DIFFERENCE = 1e-5
 """Relative change of J in the difference quotient of the bulk law."""
 _UNBORNE = 0.05
@@ -161,13 +164,22 @@ class Column:
             if not (changed := [name for name in self.laws if not self._inverts(name)]):
                 break
         else:
-            low, high = self.sampler.extrema(self.pressure)
-            owner = f" of body {changed[0]!r}" if changed[0] else ""
-            expected = f"a bulk law{owner} that has a J at every pressure from {low:.4g} to {high:.4g} Pa"
-            raise InitialDataError("equilibrium", "no J was found at some pressure", expected)
+            raise InitialDataError("equilibrium", *self._unsettled(changed))
         release(self._inverse)
         self._say_what_is_left()
         return self.J
+
+    def _unsettled(self, names: Sequence[str]) -> tuple[str, str]:
+        """The reason why the volumes of the bodies ``names`` still change, and what is expected instead."""
+        remedy = "a lower column, or a larger pressure at the datum"
+        for name in names:
+            least, most = self.sampler.extrema(self.J[name])
+            if not 1 / _FAR < least <= most < _FAR:
+                low, high = self.sampler.extrema(self.pressure)
+                law = "a bulk law" + (f" of body {name!r}" if name else "")
+                expected = f"{law} that has a J at every pressure from {low:.4g} to {high:.4g} Pa, {remedy}"
+                return "no J was found at some pressure", expected
+        return f"density and pressure still change after {_ROUNDS} iterations", remedy
 
     def _mean(self, value: Callable[[str], CoefficientFunction]) -> CoefficientFunction:
         """Mean of a function of the bodies, weighted by their volume fractions."""

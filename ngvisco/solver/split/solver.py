@@ -41,7 +41,8 @@ from ngvisco.threads import Workers, on_arrays
 
 _FORCING = 0.03, 0.003
 """Tolerances of the flow's linear systems where residuals are cheap, and where they are expensive: in 3D, and
-with several bodies.  With more exact increments fewer residuals are evaluated."""
+with several bodies.  With more exact increments fewer residuals are evaluated.  The first increment of a step
+has the first tolerance, because the error of its old tangent is larger."""
 _LEFT, _LOOSEST = 0.3, 0.03
 """Error of the flow's linear system, as a share of the error with which the iteration may end; and the
 largest tolerance of the linear system."""
