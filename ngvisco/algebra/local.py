@@ -25,11 +25,6 @@ SAMPLE, NEGLIGIBLE = 100, 1e-12
 rounding."""
 
 
-def are_ones(values: np.ndarray) -> bool:
-    """Whether all values are 1 up to rounding."""
-    return np.allclose(values, 1.0, rtol=0, atol=NEGLIGIBLE)
-
-
 class Functions(NamedTuple):
     """Functions on sides, by their values at the nodes."""
 
@@ -118,10 +113,10 @@ class LocalMatrix:
 
     @property
     def is_constant(self) -> bool:
-        """Whether in each cell all rows are equal up to rounding."""
+        """Whether in each cell all rows are equal."""
         if self.shape is None or self.nodal.shape[2] != 1:
             return False
-        return are_ones(self.shape)
+        return bool((self.shape == 1.0).all())
 
     @property
     def blocks(self) -> np.ndarray:
@@ -285,6 +280,8 @@ def _nodes(blocks: np.ndarray, pieces: int) -> tuple[np.ndarray, np.ndarray | No
     shape[:, order[:rank]] = np.eye(rank)
     shape[:, order[rank:]] = la.solve_triangular(triangle[:rank, :rank], triangle[:rank, rank:])
     nodal = by_pieces[..., order[:rank]]
+    if rank == 1 and np.allclose(shape, 1.0, rtol=0, atol=NEGLIGIBLE):
+        shape[:] = 1.0  # constant rows
     error = abs(nodal @ shape - by_pieces).max(axis=(1, 2, 3))
     if (error > NEGLIGIBLE * abs(blocks).max(axis=(1, 2))).any():
         return blocks, None

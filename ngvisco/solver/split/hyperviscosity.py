@@ -20,7 +20,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ngvisco.algebra import precision
-from ngvisco.algebra.local import LocalMatrix, are_ones, squared
+from ngvisco.algebra.local import LocalMatrix, squared
 from ngvisco.algebra.sparse import Blocks, ElementAssembly, Rounded, largest
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.points import SidePoints
@@ -167,7 +167,7 @@ class _Interpolated:
     """
 
     def __init__(self, blocks: np.ndarray) -> None:
-        self._blocks = None if blocks.shape[2] == 1 and are_ones(blocks) else precision.single(blocks)
+        self._blocks = None if blocks.shape[2] == 1 and (blocks == 1.0).all() else precision.single(blocks)
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """Coefficients (cells, n, functions) to values (cells, n, points), or (cells, n, 1) if constant."""
