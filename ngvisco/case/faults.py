@@ -14,16 +14,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from ngvisco.case.schema import CaseSections
-from ngvisco.case.section import (
-    TAGS,
-    Section,
-    given,
-    models_in,
-    owner_of,
-    places,
-    reached,
-    shown,
-)
+from ngvisco.case.section import TAGS, Section, given, models_in, owner_of, places, reached, shown
 from ngvisco.case.toml import line_of, value_text
 from ngvisco.case.values import Wrong
 from ngvisco.errors import InitialDataError, MeshError, NgviscoError, ParameterError, nearest

@@ -17,14 +17,7 @@ from ngvisco.case.section import given
 from ngvisco.case.units import factor, key_and_unit_of
 from ngvisco.cli import streams
 from ngvisco.cli.streams import DONE, Stopping, stopped
-from ngvisco.errors import (
-    CheckpointError,
-    ParameterError,
-    StopRequested,
-    UnknownNameError,
-    listed,
-    nearest,
-)
+from ngvisco.errors import CheckpointError, ParameterError, StopRequested, UnknownNameError, listed, nearest
 from ngvisco.run.files import csv_text, write_atomically
 from ngvisco.run.simulation import Simulation
 from ngvisco.sensitivity.data import number_in

@@ -49,9 +49,9 @@ class _Node:
     __array_ufunc__ = None  # numpy's numbers leave the operation to these classes
     shape: tuple[int, ...]
 
-    def _mapped(self, shape: tuple[int, ...], there: Map, back: Map) -> Self:
-        """The image under the linear map ``there``; ``back`` is the transposed map, for derivatives."""
-        raise NotImplementedError
+    _mapped: Callable[[tuple[int, ...], Map, Map], Self]
+    """Gives the image, of a given shape, under a linear map; the last argument is the transposed map, for
+    derivatives."""
 
     @property
     def rank(self) -> int:

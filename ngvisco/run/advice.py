@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from ngsolve import CF, Integrate
@@ -13,7 +14,8 @@ from ngvisco.forms.sharpening import FAR
 from ngvisco.forms.tension import unborne_weight
 from ngvisco.physics.defects import may_part
 from ngvisco.physics.mixture import Mixture
-from ngvisco.physics.tensors import square
+from ngvisco.physics.model import Model
+from ngvisco.physics.tensors import is_even, square
 from ngvisco.run.scales import ExtremePlace, edges_of, extreme_places, largest_acceleration
 from ngvisco.run.state import RunState
 from ngvisco.timestepping.scheme import TimeScheme, backward_euler, midpoint
@@ -73,6 +75,8 @@ class Scales:
     """The largest load over the modulus of longitudinal waves, rho g L/(rho c^2)."""
     overstress: float = 0.0
     """Ratio of the stress's viscous part and the yield stress at the rate velocity/length."""
+    floors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Floors of laws, and the scale of the rate that each law reads: v/L, 1/s, or v/L^2, 1/(m s)."""
     bodies: Mapping[str, float] = field(default_factory=dict)
     """Least extent of each body, in cells."""
     placed: tuple[str, ...] = ()
@@ -227,6 +231,13 @@ class Scales:
                 "smaller"
             )
 
+        for name, (floor, rate) in self.floors.items():
+            if 0 < rate < floor:
+                yield (
+                    f"{name} = {floor:.2g} exceeds the scale of the rates, {rate:.2g}, so that the law does "
+                    f"not change with the rate; take {name} <= {1e-2 * rate:.1g}"
+                )
+
     def _of_motion(self) -> Iterator[str]:
         passed, most = self.velocity * self.dt / self.cell, FAR if self.is_sharp else 1.0
         if passed > most:
@@ -290,6 +301,7 @@ def scales(simulation: RunState) -> Scales:
         one_bulk_energy=not isinstance(material, Mixture) or material.has_one_volume,
         weight=largest_acceleration(step, simulation.sampler) * max(edges) / max(min(fast) ** 2, 1e-300),
         overstress=max(place.overstress(velocity / length) for place in places),
+        floors=_floors(step.model, velocity / length, length),
         bodies=_thickness(simulation),
         placed=tuple(body.name for body in step.model.bodies if body.where is not None),
         smears=step.discretisation.m == 1 and not step.discretisation.sharp,
@@ -299,6 +311,16 @@ def scales(simulation: RunState) -> Scales:
         unborne=unborne_weight(step, simulation.sampler),
         parting=may_part(material, bool(step.moving_walls.moving)),
     )
+
+
+def _floors(model: Model, rate: float, length: float) -> dict[str, tuple[float, float]]:
+    viscosities = [model.viscosity, *(body.viscosity for body in model.bodies)]
+    laws: list[tuple[Any, float]] = [
+        *((law, rate) for law in viscosities),
+        (model.hyperviscosity, rate / length),
+    ]
+    read = ((law, scale) for law, scale in laws if not is_even(getattr(law, "p", 0.0)))
+    return {f"{type(law).__name__}.floor": (law.floor, scale) for law, scale in read if hasattr(law, "floor")}
 
 
 def largest_velocity(simulation: RunState) -> float:

@@ -165,7 +165,8 @@ class Simulation(RunState):
     def on(self, mesh: Mesh, **changes: Any) -> Simulation:
         """A new simulation at its start, on another mesh or with other arguments of the class.
 
-        ``nv.transfer`` carries the present state over to it.
+        ``changes`` may have parameters of ``TimeSteps``, such as ``dt``; the others stay.  ``nv.transfer``
+        carries the present state over to the new simulation.
         """
         arguments = {"model": self.model, **self.arguments, "observers": self.observers}
         if "time" not in changes and (steps := {n: changes.pop(n) for n in _STEPS & changes.keys()}):

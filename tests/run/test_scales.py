@@ -34,6 +34,28 @@ def found(material=NEO_HOOKEAN, dt=0.01, maxh=0.2, G_m=math.inf, velocity_scale=
     return scales(run)
 
 
+@pytest.mark.parametrize(
+    ("viscosity", "hyper", "names"),
+    [
+        (nv.PowerLaw(K_v=0.0, consistency=1.0, n=0.5), None, ["PowerLaw.floor"]),
+        (nv.PowerLaw(K_v=0.0, consistency=1.0, n=0.5, floor=1e-14), None, []),
+        (None, nv.HyperViscosity(mu=1e-5, p=1.5), ["HyperViscosity.floor"]),
+        (None, nv.HyperViscosity(mu=1e-5, p=4.0), []),
+    ],
+)
+def test_a_floor_above_the_rates_of_the_flow_is_named_with_a_lower_one(viscosity, hyper, names):
+    """The default floors are above the rates of a flow at 1e-12 m/s."""
+    run = small_run(
+        box((1, 1), 0.5),
+        viscosity=viscosity,
+        hyperviscosity=hyper,
+        time=nv.TimeSteps(dt=1.0, velocity_scale=1e-12),
+    )
+    said = [line for line in scales(run).advice if "exceeds the scale of the rates, 1e-12" in line]
+    assert [line.split(" = ")[0] for line in said] == names
+    assert all("take " + name + " <= 1e-14" in line for name, line in zip(names, said, strict=True))
+
+
 def test_scales_and_numbers_follow_their_definitions():
     s = found(G_m=4.0)
     assert (s.length, s.kinematic_viscosity, s.velocity) == pytest.approx((1, 0.05, 0.5))

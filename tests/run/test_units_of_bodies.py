@@ -16,7 +16,7 @@ KINDS = {
     "sharp": {"m": 1, "sharp": True},
 }
 UNITS = {"steel, in kg, m and s": (1.0, 1e9, 1.0), "a grain, in kg, m and s": (1e-9, 1e-24, 1e-4)}
-"""Length, mass per thickness times length, and time in terms of the units."""
+"""Units of length, m, of mass, kg, and of time, s, in which the numbers of the run are given."""
 
 
 def driven(kind, length=1.0, mass=1.0, time=1.0):
