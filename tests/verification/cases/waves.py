@@ -355,7 +355,10 @@ def _cut_off() -> Measured:
     omega, exact = swing_by_midpoint(values, run.dt).imag, math.sqrt(k * k + 0.25)
     yield "frequency over Lamb's", omega / exact
     yield "a control: error of the frequency of a gas without weight", abs(omega / k - 1)
-    curves = [Curve("computed", times, values / values[0], "."), Curve("exact", times, np.cos(exact * times))]
+    curves = [
+        Curve("computed", times, values / values[0], "."),
+        Curve("exact", times, np.cos(exact * times), "k-"),
+    ]
     yield Plot("sound in an atmosphere", "t, s", "amplitude", curves)
 
 
