@@ -91,7 +91,7 @@ def test_swirl_recoils_elastically():
 
 
 @pytest.mark.long
-def test_the_creep_test_demo_finds_its_numbers_within_two_deviations(tmp_path):
+def test_the_creep_test_demo_recovers_its_parameters_within_two_deviations(tmp_path):
     """The fit takes four runs with two derivatives each; the demo's README has their cost in runs."""
     demo = load("creep_test")
     found = demo.main(str(tmp_path))
@@ -236,7 +236,7 @@ def test_gel_rings_down_by_its_loss_factor():
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_glacier_flows_by_its_closed_form():
+def test_the_glacier_flows_as_its_closed_form_says():
     """The cells have a size of 0.2 m. As a control, the velocity of a linear law (n = 1), halved so that it
     is the same at the top, does not agree."""
     demo, at = load("glacier"), np.linspace(0, 1, 21)
@@ -306,7 +306,7 @@ def test_wave_has_the_speed_and_decay_of_the_dispersion_relation(mu, scheme):
 
 
 @pytest.mark.long
-def test_couette_demo_is_within_half_a_per_cent(tmp_path):
+def test_the_couette_demo_is_right_within_half_a_per_cent(tmp_path):
     _, error = load("couette").main(str(tmp_path))
     assert error < 0.005
 
@@ -323,7 +323,7 @@ def test_heavy_body_sinks_in_the_shell():
 
 
 @pytest.mark.long
-def test_shell_demo_runs_as_its_readme_says(tmp_path):
+def test_the_shell_demo_runs_as_its_readme_says(tmp_path):
     run, before, after = load("shell").main(str(tmp_path))
     assert after < before - 0.1
     balanced(run)
@@ -357,7 +357,7 @@ def test_whole_demo_writes_what_its_readme_shows(name, tmp_path):
     written(tmp_path, "ledger.csv", "run.h5", "vtk/fields.pvd", *pictures(DEMOS / name))
 
 
-def test_documented_material_of_ones_own_runs():
+def test_the_custom_material_of_the_documentation_runs():
     """The example in CustomMaterial's docstring has at most 15 lines."""
     text = inspect.getdoc(nv.CustomMaterial)
     code = textwrap.dedent(text.split("Example::\n", 1)[1].split("\nParameters\n", 1)[0])

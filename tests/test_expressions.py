@@ -52,7 +52,7 @@ def test_functions_of_coefficients_agree_with_those_of_numbers(name):
     assert at_point(f"{name}({', '.join(['0.3', '0.7'][:count])})") == exact(*POINT[:count])
 
 
-def test_the_time_in_an_expression_is_that_of_the_run():
+def test_the_time_in_an_expression_is_the_time_of_the_run():
     rate = parse("3*t").coefficient()
     try:
         nv.time.Set(2.0)
@@ -94,7 +94,7 @@ def test_the_time_in_an_expression_is_that_of_the_run():
         ("é", "unexpected character", 1),
     ],
 )
-def test_wrong_expression_is_refused_with_its_position(text, reason, position):
+def test_a_wrong_expression_is_refused_with_the_position_of_its_fault(text, reason, position):
     with pytest.raises(ExpressionError) as caught:
         parse(text)
     assert reason in str(caught.value)
@@ -104,7 +104,7 @@ def test_wrong_expression_is_refused_with_its_position(text, reason, position):
 @pytest.mark.parametrize(
     "text", ["x" * (MAX_LENGTH + 1), "(" * 300 + "x" + ")" * 300, "-" * 200 + "x", "x" + "+x" * 500]
 )
-def test_absurd_size_is_refused(text):
+def test_expressions_of_absurd_size_are_refused(text):
     with pytest.raises(ExpressionError):
         parse(text)
 
@@ -132,7 +132,7 @@ LEAVES = st.sampled_from(["x", "y", "z", "pi"]) | st.floats(0, 9).map(lambda v: 
 
 @settings(max_examples=100, deadline=None)
 @given(st.recursive(LEAVES, binary, max_leaves=12))
-def test_random_expression_equals_python(text):
+def test_a_random_expression_has_the_value_that_python_computes(text):
     functions = {name: exact for name, (_, exact, _) in FUNCTIONS.items()}
     code = compile(ast.parse(text, mode="eval"), "", "eval")
     assert at_point(text) == pytest.approx(eval(code, functions | NAMES), rel=1e-11, abs=1e-11)
@@ -167,6 +167,6 @@ def test_a_region_s_function_is_the_margin_of_its_condition(text, value):
         "x < 1/0",
     ],
 )
-def test_text_that_is_no_region_is_refused_with_its_position(text):
+def test_a_text_that_is_no_region_is_refused_with_the_position_of_its_fault(text):
     with pytest.raises(ExpressionError, match="at character"):
         parse_region(text)

@@ -83,7 +83,7 @@ def test_recipes_work_as_they_are_written(recipes, tmp_path):
     assert result.returncode == 0, result.stderr
 
 
-def test_recipes_code_has_the_projects_style(tmp_path):
+def test_the_code_of_recipes_has_the_project_s_style(tmp_path):
     shutil.copy(ROOT / "pyproject.toml", tmp_path)
     for recipe in RECIPES:
         for i, (what, _, text) in enumerate(blocks(recipe)):

@@ -61,7 +61,7 @@ def test_filters_and_records_see_every_warning():
     assert said == [("one", nv.InputWarning), ("two", nv.InputWarning)]
 
 
-def test_every_warning_of_the_package_is_one_of_its_own():
+def test_every_public_warning_derives_from_the_base_class_of_the_package():
     kinds = {name for name in nv.__all__ if isinstance(getattr(nv, name), type)}
     named = {name for name in kinds if name.endswith("Warning")}
     assert len(named) >= 5

@@ -48,7 +48,7 @@ def test_public_docstrings_name_the_errors_that_are_raised():
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_wheel_holds_geometries_and_nothing_else_of_the_top_level_and_runs(tmp_path):
+def test_an_installed_wheel_runs_and_adds_no_other_top_level_package(tmp_path):
     source = tmp_path / "source"  # building leaves files beside the sources
     for name in ("ngvisco", "geometries", "demos"):
         shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))

@@ -53,7 +53,7 @@ def test_files_are_listed_after_those_that_they_import(room):
 
 
 @pytest.mark.parametrize("room", ROOMS)
-def test_imports_are_those_that_the_readme_allows(room):
+def test_rooms_import_only_what_their_readme_allows(room):
     """A room may import itself, its parents' and inner rooms, and the rooms in its line 'May import'."""
     allowed = set(re.findall(r"`([\w.]+)`", stated(room, "May import"))) | {floor_of(room)}
     known = {floor_of(module) for module in MODULES}
@@ -76,7 +76,7 @@ def test_modules_beside_the_rooms_import_what_their_line_allows():
             assert {floor_of(target) for target in graph()[module]} == allowed, module
 
 
-def test_imports_have_no_cycle_also_not_for_types():
+def test_imports_have_no_cycle_even_with_imports_for_types():
     assert circles_in(graph(typed=True)) == []
 
 

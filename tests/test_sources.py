@@ -61,7 +61,7 @@ def type_names(path: Path) -> Iterator[str]:
             yield from (t.id for t in targets if isinstance(t, ast.Name) and re.match("_?[A-Z]+[a-z]", t.id))
 
 
-def test_only_the_base_of_terms_tests_the_class_of_a_term():
+def test_only_the_module_of_the_base_class_tests_the_class_of_a_term():
     """No module but the base of terms tests the class of a term."""
     asking = {
         f"{path.relative_to(ROOT)}:{number}"

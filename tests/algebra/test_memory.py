@@ -35,7 +35,7 @@ def test_a_large_block_has_a_memory_map_of_its_own_after_a_larger_block_was_free
     assert result.stdout.split() == ["1", "0"]
 
 
-def test_a_threshold_set_in_the_environment_is_kept(monkeypatch):
+def test_a_memory_threshold_set_in_the_environment_is_kept(monkeypatch):
     for name, value in (
         ("MALLOC_MMAP_THRESHOLD_", "1000000"),
         ("GLIBC_TUNABLES", "glibc.malloc.mmap_threshold=100"),

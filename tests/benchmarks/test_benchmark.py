@@ -42,12 +42,12 @@ def test_the_workstation_table_has_rows_for_threads_and_for_a_lagrangian_method(
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_a_second_branch_has_a_row_of_ratios():
+def test_the_benchmark_of_a_second_branch_writes_a_row_of_ratios():
     head, _, row = branches.rows(1, 1, [(2, 2.0, "split")])
     assert head.count("|") == row.count("|") and "| split |" in row
 
 
-def test_kernels_have_a_row_each():
+def test_the_benchmark_of_kernels_has_a_row_for_each_kernel():
     head, _, *table = kernels.rows([(2, 0.7)], 1)
     assert [row.split(" | ")[0] for row in table] == [
         "| hyperviscosity's rows",
@@ -117,7 +117,7 @@ def test_a_lagrangian_wave_agrees_with_the_wave_on_a_fixed_mesh():
     assert compared is exact and abs(exact[0] / 0.0052 - 1) < 0.1 and abs(kinetic[0] / 0.0052 - 1) < 0.1
 
 
-def test_a_long_step_is_measured():
+def test_the_benchmark_of_long_steps_writes_a_row_for_a_solved_step():
     point = next(long_steps.points(2))
     row = long_steps.row(long_steps.drifting("linearised", 2, point), 1)
     assert len(row) == len(long_steps.COLUMNS) - 1 and row[0] == "1 of 1" and not row[-1]

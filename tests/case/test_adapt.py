@@ -40,7 +40,7 @@ def case(tmp_path, *settings):
 
 
 @pytest.mark.parametrize("until", [0.2, by_ci(0.3)])
-def test_a_run_that_ended_early_goes_on_to_the_bit(tmp_path, until):
+def test_a_run_that_ended_early_is_resumed_bit_for_bit(tmp_path, until):
     whole = nv.case.run(case(tmp_path), tmp_path / "whole")
     nv.case.run(case(tmp_path, f"time.until={until}"), tmp_path / "parts")
     parts = nv.case.resume(tmp_path / "parts", 0.8)
@@ -59,7 +59,7 @@ def test_a_run_that_ended_early_goes_on_to_the_bit(tmp_path, until):
     assert log.count("step ") == 16 and "reached" not in log
 
 
-def test_check_says_that_the_sizes_are_those_of_the_start(tmp_path, capsys):
+def test_check_reports_the_number_of_cells_at_the_start(tmp_path, capsys):
     (tmp_path / "pulse.toml").write_text(PULSE.replace('"pressure"', '"velocity"'))
     assert main(["check", str(tmp_path / "pulse.toml")]) == 0
     said = capsys.readouterr().out
@@ -75,7 +75,7 @@ def test_a_second_run_starts_from_the_last_state_on_an_adapted_mesh(tmp_path):
     assert abs(later.ledger.column("closure_relative")).max() < 1e-11
 
 
-def test_a_step_that_fails_on_a_later_mesh_leaves_the_steps_before(tmp_path, monkeypatch):
+def test_a_step_that_fails_on_a_later_mesh_leaves_the_earlier_steps_in_the_directory(tmp_path, monkeypatch):
     solve = RotheSolver.solve
 
     def fails(self, interval):

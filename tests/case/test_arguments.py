@@ -299,7 +299,7 @@ OBSERVED = [(name, argument) for name, (_, _, of) in HOW.items() for argument in
 
 
 @pytest.mark.parametrize("argument", one_of(3, PAIRS))
-def test_argument_has_an_effect_or_is_refused(argument):
+def test_each_argument_has_an_effect_or_is_refused(argument):
     found = []
     for leave in PAIRS[argument]:
         with warnings.catch_warnings():

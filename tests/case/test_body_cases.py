@@ -87,11 +87,11 @@ def where_of(text):
         ('{ kind = "Subdomain", names = "default" }', 1.0),
     ],
 )
-def test_place_of_a_body_is_a_condition_a_shape_or_several(text, volume):
+def test_the_place_of_a_body_may_be_a_condition_a_shape_or_several_shapes(text, volume):
     assert where_of(text) == pytest.approx(volume, rel=1e-3)
 
 
-def test_units_of_length_hold_for_places_of_bodies():
+def test_places_of_bodies_may_be_given_in_any_unit_of_length():
     text = HEAD.replace("[1, 1]", "[1e-3, 1e-3]").replace("0.3", "3e-4") + '[units]\nlength = "km"\n'
     for given in (
         '{ kind = "Ball", centre = [6e-4, 5e-4], radius = 2e-4 }',
@@ -115,7 +115,7 @@ def test_a_modulus_that_depends_on_place_is_carried_and_the_ledger_closes():
     assert abs(ledger.column("closure_relative")).max() < 1e-12
 
 
-def test_modulus_in_z_is_refused_in_two_dimensions():
+def test_a_modulus_that_depends_on_z_is_refused_in_two_dimensions():
     material = '[material]\nkind = "ReferentialNeoHookean"\nK_e = "10 + 5*z"\nG_e = 1\nepsilon = 1\n'
     with pytest.raises(CaseError, match=r"material.K_e: '10 \+ 5\*z': there is no z"):
         case(HEAD + material).model(2)
@@ -207,7 +207,7 @@ def test_a_wrong_place_is_refused_before_anything_is_written(tmp_path, where, ke
     assert not (tmp_path / "run").exists()
 
 
-def test_a_fault_has_the_line_of_its_shape_among_several_tables():
+def test_a_fault_of_one_of_several_shapes_is_reported_with_the_line_of_this_shape():
     where = "".join(
         f'\n[[bodies.where]]\nkind = "Subdomain"\nnames = "{n}"' for n in ("default", "inclusion")
     )
@@ -262,7 +262,7 @@ def test_each_body_of_a_case_has_heat_by_its_own_material_and_law():
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_measures_and_contours_of_bodies_are_keys(tmp_path):
+def test_keys_request_measures_and_contours_of_bodies(tmp_path):
     """The test checks columns of bodies.csv and of a study, outlines that a resumed run continues, and
     faults by their keys."""
     tables = '[output.bodies]\nmeasures = ["deformation"]\n[output.contours]\nbodies = ["disc"]\nevery = 1\n'

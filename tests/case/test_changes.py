@@ -66,7 +66,7 @@ def test_an_end_time_is_moved_to_the_nearest_end_of_a_step(run):
         nv.case.resume(run, 0.08 + 3e-5)
 
 
-def test_a_change_that_was_interrupted_is_taken_up(run, monkeypatch):
+def test_an_interrupted_change_is_completed_by_the_next_resume(run, monkeypatch):
     """The run was killed after it wrote the new case.toml, and before the first checkpoint of the changed
     run."""
     from ngvisco.case import runs
@@ -132,7 +132,9 @@ def test_a_new_run_starts_from_an_earlier_one(run, tmp_path):
         (["time.dt=0.03", "time.until=0.06"], "run", "a multiple of dt = 0.03 after t = 0.04"),
     ],
 )
-def test_an_earlier_run_that_does_not_fit_leaves_nothing_behind(run, tmp_path, settings, source, message):
+def test_a_new_run_whose_earlier_run_does_not_fit_is_refused_and_writes_nothing(
+    run, tmp_path, settings, source, message
+):
     with pytest.raises(nv.NgviscoError, match=message):
         nv.case.run(case(tmp_path, *settings), tmp_path / "new", source=tmp_path / source)
     assert not contents(tmp_path / "new") if (tmp_path / "new").exists() else True

@@ -256,7 +256,7 @@ TRIED = [
 
 
 @pytest.mark.parametrize(("entry", "kind"), TRIED)
-def test_a_key_has_an_effect_or_is_refused(entry, kind, tmp_path):
+def test_each_key_has_an_effect_or_is_refused(entry, kind, tmp_path):
     data = placed(entry, kind)
     path = ".".join({"NAME": "left", "N": "0"}.get(part, part) for part in entry.path)
     default = ({}, entry.example, other(entry, entry.example))

@@ -138,7 +138,7 @@ def test_wrong_energy_is_refused_with_its_position(text, reason, position):
     assert caught.value.position + 1 == position
 
 
-def test_nested_choices_take_no_more_time_than_others():
+def test_nested_calls_of_where_are_each_read_once():
     text = "J"
     for _ in range(25):
         text = f"where(J < 1, J, {text})"
@@ -147,7 +147,7 @@ def test_nested_choices_take_no_more_time_than_others():
 
 @settings(max_examples=300, deadline=None)
 @given(st.text(alphabet="FJI()[]+-*/.,<>=012 trdeifls", max_size=30))
-def test_any_text_is_an_energy_or_refused(text):
+def test_any_text_is_read_as_an_energy_or_refused(text):
     try:
         energy = parse_energy(text, F_AND_J)
     except ExpressionError as error:
@@ -166,7 +166,7 @@ def test_any_text_is_an_energy_or_refused(text):
         ("b=J**2*F*trans(F)", "b", 2),
     ],
 )
-def test_a_variable_has_the_exponent_of_its_definition(text, name, exponent):
+def test_a_variable_gets_its_exponent_from_its_definition(text, name, exponent):
     variable = custom_material([text, "J"], f"norm2({name}) + J").variables[0]
     assert (variable.name, variable.exponent) == (name, pytest.approx(exponent))
 
@@ -200,7 +200,7 @@ def test_anisotropic_strain_energy_is_refused_with_the_rotation():
         isotropic_strain_energy("norm2(E) + 0.01*E[0, 0]**2")
 
 
-def test_energy_of_a_case_is_in_its_units():
+def test_the_energy_of_a_case_has_the_units_of_the_case():
     plain = parse_case(CASE, "case", Path("."))
     scaled = parse_case('[units]\npressure = "kPa"\n' + CASE, "case", Path("."))
     states = np.array([[1.1, 0.1, -0.2, 0.9, 1.0, 1.05]])
@@ -234,7 +234,7 @@ until = 0.02
 
 
 @pytest.mark.parametrize("method", ["coupled", "split"])
-def test_a_conductivity_may_be_a_text_in_the_temperature(method):
+def test_a_conductivity_may_be_an_expression_of_the_temperature(method):
     case = parse_case(WARM, "case", Path("."), [f"solver.method={method}"])
     ledger = case.simulation(case.mesh()).run(case.until)
     start = nv.Initial(density=1.0, temperature=300 + 100 * x)
@@ -258,7 +258,7 @@ def test_a_conductivity_may_be_a_text_in_the_temperature(method):
         ("-1", ["-1: expected a finite number >= 0"]),
     ],
 )
-def test_a_conductivity_of_a_case_names_what_is_wrong(value, words):
+def test_a_wrong_conductivity_of_a_case_is_refused_with_the_reason(value, words):
     with pytest.raises(nv.CaseError) as caught:
         parse_case(WARM, "case", Path("."), [f"rheology.heat.conductivity={value}"]).model(2)
     assert all(word in str(caught.value) for word in ["rheology.heat.conductivity", *words])

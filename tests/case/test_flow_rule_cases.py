@@ -88,7 +88,7 @@ def case_of(text, creep, tmp_path, viscosity=STOKES):
     return load_case(path)
 
 
-def test_every_kind_of_creep_and_viscosity_is_tried():
+def test_every_kind_of_creep_and_viscosity_has_an_example_in_these_tests():
     assert set(CREEPS) == set(KINDS) and set(VISCOSITIES) == set(ALL_VISCOSITIES)
 
 
@@ -134,6 +134,6 @@ def test_creep_without_a_kind_is_linear(tmp_path):
         ('kind = "Activated", E = 1, theta_R = -2, rule = { G_m = 1 }', "rheology.creep.*theta_R"),
     ],
 )
-def test_an_invalid_rule_is_refused_by_its_key(creep, message, tmp_path):
+def test_an_invalid_flow_rule_is_refused_under_its_key(creep, message, tmp_path):
     with pytest.raises(CaseError, match=f"(?s){message}"):
         case_of(ONE, creep, tmp_path)

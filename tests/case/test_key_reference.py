@@ -47,7 +47,7 @@ def owners(model=CaseSections):
     return found
 
 
-def test_no_description_is_left_over():
+def test_every_description_belongs_to_a_parameter_that_exists():
     """A description of a parameter that no longer exists would never be shown."""
     for owner in owners():
         assert set(meanings(owner)) <= set(inspect.signature(owner).parameters), owner
@@ -144,7 +144,7 @@ def schema():
     return jsonschema.Draft202012Validator(made)
 
 
-def test_the_schema_admits_the_demos_and_refuses_what_is_misspelt(schema):
+def test_the_schema_admits_the_demos_and_refuses_misspelt_keys(schema):
     for path in template.demos().values():
         data = tomllib.loads(path.read_text())
         schema.validate(data)
@@ -163,7 +163,7 @@ def test_the_schema_admits_the_demos_and_refuses_what_is_misspelt(schema):
 
 
 @pytest.mark.parametrize("name", list(template.demos()))
-def test_a_template_is_the_case_of_its_demo_with_notes(name):
+def test_a_template_is_the_case_of_its_demo_with_comments(name):
     text = template.template(name)
     made, demo = parse_case(text, name, Path(".")), nv.load_case(template.demos()[name])
     assert made.resolved == demo.resolved
@@ -220,6 +220,6 @@ def test_an_unknown_key_is_refused_with_the_nearest_key(path):
         reference.explain(path)
 
 
-def test_the_page_in_the_package_is_the_generated_one():
+def test_the_page_of_keys_in_the_package_equals_the_generated_page():
     page = Path(reference.__file__).with_name("reference.md")
     assert page.read_text(encoding="utf-8") == reference.markdown(), "ngvisco list --markdown > " + str(page)

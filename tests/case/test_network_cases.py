@@ -52,7 +52,7 @@ def by_script(material):
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_a_network_of_a_case_equals_that_of_a_script_and_resumes_bitwise(tmp_path):
+def test_a_network_of_a_case_equals_the_network_of_a_script_and_is_resumed_bit_for_bit(tmp_path):
     case = load_case(written(tmp_path, NETWORK))
     first = run_case(case, tmp_path / "half")
     slow = nv.ReferentialNeoHookean(K_e=0.0, G_e=2.0 + x)
@@ -93,7 +93,7 @@ def test_prony_shares_refer_to_the_named_modulus(tmp_path, of):
     assert times == pytest.approx([0.1, 1.0])
 
 
-def test_prony_rows_come_from_a_table(tmp_path):
+def test_prony_modes_may_be_read_from_a_table(tmp_path):
     (tmp_path / "rows.csv").write_text("# of a rubber\ng,tau\n0.3, 0.1\n0.2, 1\n")
     rows = 'prony = [[0.3, 0.1], [0.2, "1000 ms"]]'
     case = load_case(written(tmp_path, PRONY, (rows, 'prony = { file = "rows.csv" }')))
@@ -137,7 +137,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_a_fault_of_a_network_is_named_by_its_key(tmp_path, name):
+def test_a_fault_of_a_network_is_reported_under_its_key(tmp_path, name):
     text, change, said = WRONG[name]
     with pytest.raises(CaseError, match=said):
         load_case(written(tmp_path, text, change)).model(2)
@@ -159,7 +159,7 @@ def test_keys_of_branches_are_explained():
         (nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0), 10.0),
     ],
 )
-def test_a_mode_relaxes_in_its_time_at_small_strains(material, G):
+def test_a_prony_mode_relaxes_with_its_relaxation_time_at_small_strains(material, G):
     """Stresses 2 G e of small strains e, without a trace, relax by e' = -2 G e/G_m."""
     (branch,) = nv.prony_network(material, prony=[[1.0, 3.0]], of="G_0").parts.values()
     assert branch.creep.G_m / (2 * G) == pytest.approx(3.0, rel=1e-14)

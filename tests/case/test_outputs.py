@@ -33,7 +33,7 @@ def case(text, tmp_path, *settings):
     return parse_case(text, "case.toml", tmp_path, settings)
 
 
-def test_tables_of_a_case_are_written_and_belong_to_the_results(tmp_path):
+def test_tables_of_a_case_are_written_and_count_among_the_results_of_the_run(tmp_path):
     run = nv.case.run(case(CASE, tmp_path), tmp_path / "out")
     samples = tmp_path / "out" / "samples"
     read = {
@@ -73,7 +73,7 @@ def test_measurements_do_not_change_the_hash_of_a_case(tmp_path):
         ("output.integrals.0.of='__import__(1)'", "output.integrals.0.of .*unknown function"),
     ],
 )
-def test_faults_of_outputs_are_named_with_their_key(setting, message, tmp_path):
+def test_faults_of_outputs_are_reported_under_their_keys(setting, message, tmp_path):
     with pytest.raises(nv.CaseError, match=message):
         loaded = case(CASE, tmp_path, setting)
         loaded.simulation(loaded.mesh())

@@ -75,7 +75,9 @@ def case(place: Path, material: str = BY_PYTHON, solver: str = "split") -> nv.Ca
 
 
 @pytest.mark.parametrize("solver", ["split", "coupled"])
-def test_a_material_from_a_file_runs_as_the_same_energy_by_an_expression(place: Path, solver: str) -> None:
+def test_a_material_from_a_python_file_runs_like_its_energy_given_as_an_expression(
+    place: Path, solver: str
+) -> None:
     found = []
     for material in (BY_PYTHON, BY_EXPRESSION):
         nv.time.Set(0.0)
@@ -116,7 +118,9 @@ def test_a_run_directory_keeps_the_file_and_the_hash_depends_on_its_content(plac
         ("parameters", "{ K = -1 }", r"material\.parameters\.K.*-1.*a modulus > 0, Pa"),
     ],
 )
-def test_what_a_python_file_lacks_is_refused_by_the_key(place: Path, key: str, value: str, said: str) -> None:
+def test_a_wrong_material_of_a_python_file_is_refused_under_the_key_at_fault(
+    place: Path, key: str, value: str, said: str
+) -> None:
     lines = [f"{key} = {value}" if line.startswith(key) else line for line in BY_PYTHON.splitlines()]
     with pytest.raises(nv.CaseError, match=f"(?s){said}"):
         case(place, "\n".join(lines)).model(2)

@@ -104,18 +104,18 @@ CASE | until = 0.1 -> until = 0.1; [output.vtk]; fields = ["desity"] | did you m
 
 
 @pytest.mark.parametrize(("text", "message"), faults(FAULTS, {"CASE": CASE}))
-def test_fault_is_named_with_line_key_value_and_remedy(text, message):
+def test_a_fault_is_reported_with_line_key_value_and_remedy(text, message):
     with pytest.raises(CaseError) as caught:
         simulation(text)
     assert message in str(caught.value)
 
 
-def test_number_of_thousands_of_digits_is_a_fault_of_the_file():
+def test_a_number_with_thousands_of_digits_is_reported_as_a_fault_of_the_file():
     with pytest.raises(CaseError, match=r"case\.toml: the file is not TOML: Exceeds the limit"):
         simulation(CASE.replace("until = 0.1", "until = " + "9" * 5000))
 
 
-def test_adaptive_steps_are_counted_by_the_longest_one():
+def test_the_limit_of_the_number_of_adaptive_steps_counts_steps_of_the_largest_length():
     """In a run from half a second to thirty years dt is only the length of the first step."""
     steps = ["time.dt=0.5", "time.until='30 yr'", "time.adaptive.dt_min=0.1"]
     assert case(CASE, *steps, "time.adaptive.dt_max='1 yr'").until > 9e8
@@ -162,14 +162,14 @@ def test_resolved_case_is_complete_and_resolves_to_itself():
     assert data["solver"]["tolerance"] == nv.NewtonOptions().tolerance
 
 
-def test_hash_sees_what_changes_the_solution_and_nothing_else():
+def test_the_hash_depends_on_the_keys_that_change_the_solution_and_on_no_others():
     same = case(CASE, "time.until=0.2", "title=b", "output.vtk.every=3")
     assert same.hash == case(CASE).hash
     for setting in ("material.G_e=6", "time.dt=0.01", "solver.tolerance=1e-9", "initial.density=1"):
         assert case(CASE, setting).hash != case(CASE).hash
 
 
-def test_settings_override_keys_and_are_named_in_faults():
+def test_settings_of_the_command_line_override_keys_and_are_named_in_faults():
     changed = case(CASE, "material.G_e=6", "loads.0.g=[1, 0]", "initial.density=2 + x", "title=new")
     assert changed.sections.material.G_e == 6 and changed.sections.loads[0].g == [1, 0]
     assert changed.sections.initial.density == "2 + x" and changed.sections.title == "new"
@@ -185,7 +185,7 @@ def test_settings_override_keys_and_are_named_in_faults():
             case(CASE, setting)
 
 
-def test_elastic_state_is_resolved_by_orders_without_creep():
+def test_without_creep_the_default_elastic_state_follows_from_the_orders():
     """A run directory keeps the choice; a law with a single form has this form."""
     still = CASE.replace("[rheology.creep]\nG_m = 5\n", "")
     for m, state in ((0, "B"), (1, "F")):
@@ -199,7 +199,7 @@ def test_elastic_state_is_resolved_by_orders_without_creep():
     assert case(ogden.resolved).hash == ogden.hash
 
 
-def test_elastic_state_is_resolved_by_creep_unless_it_is_given():
+def test_the_default_elastic_state_is_B_with_creep_and_F_without():
     creeping, still = case(CASE), case(CASE.replace("[rheology.creep]\nG_m = 5\n", ""))
     found = [tomllib.loads(c.resolved)["material"]["elastic_state"] for c in (creeping, still)]
     assert found == ["B", "F"]
@@ -261,7 +261,7 @@ def test_a_material_may_wrap_another_one():
         ("material.material=1", "expected a table"),
     ],
 )
-def test_faults_of_wrapped_materials_have_their_place(override, message):
+def test_faults_of_wrapped_materials_are_reported_with_their_path(override, message):
     with pytest.raises(CaseError, match=message):
         case(CASE.replace("[material]\n", WRAPPED), override)
 
@@ -290,7 +290,7 @@ def outcome(text):
 
 @settings(max_examples=150, deadline=None)
 @given(st.text(max_size=200))
-def test_any_text_is_a_case_or_a_case_error(text):
+def test_any_text_is_read_as_a_case_or_raises_a_case_error(text):
     outcome(text)
 
 
@@ -300,7 +300,7 @@ def test_any_text_is_a_case_or_a_case_error(text):
     st.integers(0, 12),
     st.text(max_size=8) | st.text(alphabet='[]{}"=.,0123456789eE-+\nnaif', max_size=12),
 )
-def test_a_damaged_case_is_a_case_or_a_case_error(start, length, insertion):
+def test_a_damaged_case_file_is_read_or_raises_a_case_error(start, length, insertion):
     outcome(CASE[:start] + insertion + CASE[start + length :])
 
 
@@ -320,7 +320,7 @@ PATHS = sorted(".".join(path) for path in key_lines(CASE))
 
 @settings(max_examples=300, deadline=None)
 @given(st.sampled_from(PATHS), VALUES)
-def test_any_value_of_any_key_is_a_case_or_a_case_error(path, value):
+def test_any_value_of_any_key_is_accepted_or_raises_a_case_error(path, value):
     data = tomllib.loads(CASE)
     override(data, tuple(path.split(".")), value)
     try:
@@ -343,13 +343,13 @@ TABLES = st.dictionaries(
 
 @settings(max_examples=200, deadline=None)
 @given(TABLES)
-def test_written_toml_reads_back(data):
+def test_toml_that_is_written_is_read_back_unchanged(data):
     assert tomllib.loads(write(data)) == data
 
 
 @settings(max_examples=200, deadline=None)
 @given(st.text(max_size=30))
-def test_any_setting_is_understood_or_refused(text):
+def test_any_setting_of_the_command_line_is_read_or_refused(text):
     try:
         path, _ = parse_override(text)
     except ValueError:
@@ -369,7 +369,7 @@ def test_any_setting_is_understood_or_refused(text):
         (".", "."),
     ],
 )
-def test_a_number_of_a_setting_needs_no_digit_on_both_sides_of_its_point(text, value):
+def test_a_number_in_a_setting_may_begin_or_end_with_its_decimal_point(text, value):
     assert parse_override(f"domain.maxh={text}") == (("domain", "maxh"), value)
 
 

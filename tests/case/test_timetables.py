@@ -55,7 +55,7 @@ def test_tables_are_read_in_the_case_s_units(tmp_path):
     nv.time.Set(0.0)
 
 
-def test_a_resolved_case_needs_no_file(tmp_path):
+def test_a_resolved_case_contains_its_tables_and_needs_no_other_file(tmp_path):
     case = load_case(written(tmp_path))
     again = parse_case(case.resolved, "again", Path("nowhere"))
     assert again.resolved == case.resolved and again.hash == case.hash
@@ -73,7 +73,7 @@ def test_a_resolved_case_needs_no_file(tmp_path):
         ("column = 2", "row = 2", "a number, or an expression"),
     ],
 )
-def test_bad_tables_are_faults_of_their_keys(tmp_path, old, new, message):
+def test_wrong_tables_are_refused_under_their_keys(tmp_path, old, new, message):
     with pytest.raises(CaseError, match=message) as caught:
         load_case(written(tmp_path, CASE.replace(old, new)))
     assert ":18: loads.0.g" in str(caught.value)
@@ -93,7 +93,7 @@ NUMBERS = {
 
 
 @pytest.mark.parametrize("kind", NUMBERS)
-def test_files_of_numbers_are_read_whole_or_refused_with_the_line(tmp_path, kind):
+def test_a_file_of_numbers_is_read_completely_or_refused_with_the_line_at_fault(tmp_path, kind):
     text, message = NUMBERS[kind]
     (path := tmp_path / "numbers.csv").write_text(text, encoding="utf-8")
     if message is None:
@@ -106,7 +106,7 @@ def test_files_of_numbers_are_read_whole_or_refused_with_the_line(tmp_path, kind
 PRESSED = CASE.replace('kind = "Traction"\nf = { file = "pull.csv" }', 'kind = "Open"\npressure = PRESSURE')
 
 
-def test_a_number_of_a_wall_may_be_a_table_of_time(tmp_path):
+def test_a_number_of_a_wall_may_be_given_by_a_table_of_time(tmp_path):
     """A file may begin with a mark of the byte order."""
     table = '{ file = "pull.csv", column = 1 }'
     case = load_case(written(tmp_path, "\ufeff" + PRESSED.replace("PRESSURE", table)))

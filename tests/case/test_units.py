@@ -100,7 +100,7 @@ def flat(node, path=()):
         yield from flat(part, (*path, name))
 
 
-def test_a_case_in_other_units_is_the_case_in_si():
+def test_a_case_in_other_units_equals_the_case_in_si_units():
     given, expected = (dict(flat(case(text).sections.model_dump())) for text in (CASE, IN_SI))
     assert given.keys() == expected.keys()
     for path, value in expected.items():
@@ -110,7 +110,7 @@ def test_a_case_in_other_units_is_the_case_in_si():
             assert given[path] == value, path
 
 
-def test_a_run_in_other_units_is_the_run_in_si():
+def test_a_run_in_other_units_equals_the_run_in_si_units():
     ledgers = []
     for text in (CASE, IN_SI):
         loaded = case(text)
@@ -128,7 +128,7 @@ def test_a_resolved_case_is_in_si_and_resolves_to_itself():
     assert again.sections.units.length == "m" and again.sections.domain.size == [2000, 1000]
 
 
-def test_every_unit_of_the_reference_is_known():
+def test_every_unit_in_the_reference_of_keys_is_known():
     exponents = {"p": 4.0, "q": 4.0, "r": 3.0, "n": 3.0, "gamma": 1.4}
     for meant in entries():
         if meant.unit not in ("", "1", "any"):
@@ -175,13 +175,13 @@ def test_the_unit_of_a_key_may_depend_on_an_exponent_of_its_section():
         ("discretisation.k='2 m'", "discretisation.k .*expected a whole number"),
     ],
 )
-def test_a_wrong_unit_is_a_fault_of_its_key(setting, message):
+def test_a_wrong_unit_is_refused_under_its_key(setting, message):
     with pytest.raises(nv.CaseError, match=message):
         loaded = case(CASE, setting)
         loaded.mesh()
 
 
-def test_degrees_celsius_convert_numbers_but_have_no_factor():
+def test_degrees_celsius_are_converted_by_an_offset_and_have_no_factor():
     assert converted(-20.0, "degC", "K") == pytest.approx(253.15, rel=1e-15)
     assert converted(2.0, "W/(m delta_degC)", "W/(m K)") == pytest.approx(2.0, rel=1e-15)
     with pytest.raises(UnitError, match="degC"):
@@ -194,7 +194,7 @@ def test_any_wrong_unit_raises_a_unit_error(unit):
         factor(unit, "m")
 
 
-def test_expressions_with_signs_like_units_stay_expressions():
+def test_expressions_whose_signs_also_occur_in_units_are_not_read_as_units():
     sections = case(IN_SI, "initial.density='1 if x > 0 else 2'").sections
     assert sections.initial.density == "1 if x > 0 else 2"
     scaled = case(CASE, "initial.density='1 if x > 0 else 2 - y*(x + t)'")
@@ -250,7 +250,7 @@ until = 0.2
 """
 
 
-def test_a_unit_may_begin_with_a_reciprocal():
+def test_a_unit_may_begin_with_1_over_a_unit():
     sections = parse_case(NORTON, "case.toml", Path()).sections
     factor_of_power = sections.rheology.creep.A
     assert factor_of_power == pytest.approx(0.5e-15, rel=1e-12)

@@ -38,7 +38,7 @@ def test_a_run_directory_explains_its_files(finished):
     assert re.search(r"^\d{4}-\d\d-\d\d \d\d:\d\d:\d\d  step +4/4 .*closure", log, re.M)
 
 
-def test_load_gives_the_ledger_and_the_state(finished):
+def test_load_returns_the_ledger_and_the_state_of_a_run(finished):
     results = nv.load(finished)
     assert results.ledger["step"].tolist() == [0, 1, 2, 3, 4] and results.time == 0.08
     assert isinstance(results.fields["velocity"], GridFunction)
@@ -48,7 +48,7 @@ def test_load_gives_the_ledger_and_the_state(finished):
     assert earlier.time == pytest.approx(0.06) and len(earlier.simulation.ledger.rows) == 4
 
 
-def test_the_file_has_units_and_attributes(finished):
+def test_the_run_file_has_units_and_attributes(finished):
     with h5py.File(finished / "run.h5") as file:
         assert {"format", "ngvisco", "mesh", "spaces", "material", "case", "units"} <= set(file.attrs)
         assert file["ledger/kinetic"].attrs["unit"] == "J"
@@ -58,7 +58,7 @@ def test_the_file_has_units_and_attributes(finished):
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_plot_writes_pictures_and_info_and_list_describe_the_run(finished, capsys):
+def test_the_commands_plot_info_and_list_draw_and_describe_a_run(finished, capsys):
     assert ended("plot", finished, "--fields", "J,velocity,cauchy_stress_12") == 0
     for name in ("energies.png", "history.png", "fields.png"):
         assert (finished / name).read_bytes().startswith(b"\x89PNG")
@@ -117,7 +117,7 @@ def test_check_prints_a_report_and_writes_no_file(case_file, capsys, monkeypatch
     assert list(case_file.parent.iterdir()) == [case_file]
 
 
-def test_time_of_set_up_includes_the_imports(case_file, capsys, monkeypatch):
+def test_the_time_of_set_up_includes_the_imports(case_file, capsys, monkeypatch):
     """Imports take longer than all steps of a tiny run; main without arguments is a process of its own."""
     monkeypatch.setattr("ngvisco.cli.main.clock.process_time", lambda: 7200.0)
     monkeypatch.setattr("sys.argv", ["ngvisco", "check", str(case_file)])
@@ -125,7 +125,7 @@ def test_time_of_set_up_includes_the_imports(case_file, capsys, monkeypatch):
     assert "after 2.0 h of set-up" in capsys.readouterr().out
 
 
-def test_check_counts_steps_that_a_run_chooses_by_the_longest_one(case_file, capsys):
+def test_check_estimates_the_number_of_adaptive_steps_by_the_longest_step(case_file, capsys):
     """The first step lasts a microsecond. An estimate by this length would be a million steps, or days for a
     run of seconds."""
     settings = ["time.dt=1e-6", "time.until=1", "time.adaptive.dt_min=1e-7", "time.adaptive.dt_max=0.05"]
@@ -169,7 +169,7 @@ until = 0.02
 
 
 @pytest.mark.long
-def test_the_estimate_of_time_is_right_within_a_factor(case_file, capsys, tmp_path):
+def test_the_estimated_time_of_a_run_is_right_within_a_factor_of_1_5(case_file, capsys, tmp_path):
     settings = ("--set", "time.until=2", "--set", "domain.maxh=0.2", "--set", "output.vtk.enabled=false")
     assert ended("check", case_file, *settings) == 0
     each = float(re.search(r"estimate +(\S+) s a step", capsys.readouterr().out)[1])

@@ -61,7 +61,7 @@ def assert_goes_on(place, case_file, number):
     assert_same_run(place, whole)
 
 
-def test_a_disk_that_fills_up_loses_nothing(half, finished):
+def test_a_disk_that_fills_up_loses_no_result(half, finished):
     before = {name: (half / name).read_bytes() for name in ("run.h5", "case.toml", "mesh.vol")}
     size = (half / "run.h5").stat().st_size
     free, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -82,7 +82,7 @@ def test_info_reports_a_run_beyond_its_case_as_finished(half):
     assert "t = 0.06 s, beyond the case's 0.04 s, step 3; finished" in command("info", half)[1]
 
 
-def test_an_end_in_other_units_may_miss_a_step_by_rounding(half, finished):
+def test_an_end_time_that_misses_the_end_of_a_step_by_rounding_is_moved_to_it(half, finished):
     code, out, err = command("resume", half, "--until", "80.0001 ms")
     assert code == DONE, err
     assert "2 steps of 0.02 s" in out and "step     3/4 " in out and "step     4/4 " in out
@@ -92,7 +92,7 @@ def test_an_end_in_other_units_may_miss_a_step_by_rounding(half, finished):
     assert_same_run(half, finished)
 
 
-def test_a_full_disk_is_named(half):
+def test_a_full_disk_is_named_in_the_message(half):
     (half / "log.txt").unlink()
     (half / "log.txt").symlink_to("/dev/full")
     code, _, err = command("resume", half, "--until", 0.08)
@@ -100,7 +100,7 @@ def test_a_full_disk_is_named(half):
 
 
 @pytest.mark.parametrize("place", ["/proc/ngvisco-run", "/dev/null/run"])
-def test_an_unwritable_directory_is_named(place, case_file):
+def test_an_unwritable_directory_is_named_in_the_message(place, case_file):
     code, _, err = command("run", case_file, "-o", place)
     assert code == BAD_FILE and place.split("/run")[0] in err
 
@@ -151,7 +151,7 @@ def test_a_run_that_has_lost_its_checkpoints_is_not_begun_anew(half):
     assert (half / "ledger.csv").read_bytes() == before
 
 
-def test_a_user_s_mesh_file_runs(half, case_file):
+def test_a_case_with_a_user_s_mesh_file_runs(half, case_file):
     shutil.copy(half / "mesh.vol", case_file.parent / "own.vol")
     text = CASE.replace('geometry = "box"\nsize = [1, 1]\nmaxh = 0.6', 'geometry = "file"\npath = "own.vol"')
     case_file.write_text(text)
@@ -347,7 +347,7 @@ def test_a_signal_within_an_iteration_ends_the_run_before_the_next_one(solver, t
     ("kills", "seed"),
     [pytest.param(5, 2, marks=pytest.mark.ci), (50, int(os.environ.get("NGVISCO_SEED", "1")))],
 )
-def test_killed_at_random_moments_the_run_is_resumed_bit_for_bit(tmp_path, case_file, kills, seed):
+def test_a_run_killed_at_random_moments_is_resumed_bit_for_bit(tmp_path, case_file, kills, seed):
     place, chance = tmp_path / "killed", random.Random(seed)
     last = -1
     for _ in range(kills):

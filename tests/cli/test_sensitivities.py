@@ -70,7 +70,7 @@ sys.exit(main(sys.argv[2:]))
 
 @pytest.mark.parametrize("where", [by_ci("run"), "adjoint"])
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
-def test_a_gradient_stopped_by_a_signal_goes_on(case, tmp_path, where):
+def test_a_gradient_stopped_by_a_signal_is_completed_by_the_same_command(case, tmp_path, where):
     words = [
         "gradient",
         case,
@@ -102,7 +102,7 @@ def test_a_gradient_stopped_by_a_signal_goes_on(case, tmp_path, where):
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_a_fit_finds_the_case_s_numbers(case, tmp_path):
+def test_a_fit_recovers_the_values_of_the_case(case, tmp_path):
     """The data are those of the case itself, as its run writes them, with step, time and columns."""
     code, _, err = command("run", case, "-o", tmp_path / "run", "--quiet")
     assert code == 0, err

@@ -222,7 +222,7 @@ def test_variables_of_a_continued_energy_have_no_bounds(material, names):
         assert respond(material, 2)(J).finite.all()
 
 
-def test_nearest_wall_is_exact_in_2d_and_3d():
+def test_the_nearest_wall_is_found_exactly_in_2d_and_3d():
     wall, distance = nearest_wall(box((1, 1), 0.4), np.array([0.3, 0.9]))
     assert wall == "top" and distance == pytest.approx(0.1)
     wall, distance = nearest_wall(box((1, 1, 1), 0.8), np.array([0.31, 0.55, 0.07]))

@@ -64,5 +64,5 @@ def mismatch(step: Step, *, refreshed: bool = True) -> float:
     ],
     ids=["2d", "2d-k3-m2", "3d-m0", "3d"],
 )
-def test_jacobian_is_the_difference_of_the_refreshed_residual(dim, material, k, m) -> None:
+def test_the_jacobian_equals_differences_of_the_residual_with_updated_energies(dim, material, k, m) -> None:
     assert mismatch(step_with(dim, nv.Yosida(material=material, eps=EPS), k, m)) < 1e-8

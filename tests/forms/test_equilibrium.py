@@ -75,7 +75,7 @@ def test_any_material_bears_its_weight(law, state):
 
 
 @pytest.mark.parametrize("solver", ["coupled", "split"])
-def test_constants_in_cells_bear_the_weight_under_linear_velocities(solver):
+def test_constants_in_cells_bear_the_weight_with_linear_velocities(solver):
     """With the lowest orders the body stays at rest; without the hydrostatic start it falls."""
     run = at_rest(density=RHO, solver=solver, discretisation=LOWEST)
     assert pressures(run, 0.125, 0.875) == pytest.approx([RHO * 0.875, RHO * 0.125], abs=0.1 * RHO)
@@ -84,7 +84,7 @@ def test_constants_in_cells_bear_the_weight_under_linear_velocities(solver):
 
 
 @pytest.mark.parametrize("k", [2, 3])
-def test_constants_in_cells_bear_no_weight_under_velocities_of_higher_order(k):
+def test_constants_in_cells_bear_no_weight_with_velocities_of_higher_order(k):
     """The start is refused by name; with m = 1, which the message recommends, at most a hundredth of the
     fall is left."""
     with pytest.raises(
@@ -103,7 +103,7 @@ def test_a_body_in_three_dimensions_starts_in_equilibrium():
     assert p(run.mesh(0.5, 0.5, 0.0)) == pytest.approx(RHO, rel=3e-3) and speed(run, 1) < 1e-4
 
 
-def test_the_density_follows_from_a_referential_one():
+def test_the_density_follows_from_the_referential_density():
     """K (1 - J) = p and rho = rho_R/J have the solution J = sqrt(1 - 2 rho_R g s/K)."""
     soft = nv.PerReferentialVolume(
         material=nv.CustomMaterial(
@@ -140,7 +140,7 @@ def test_layers_bodies_and_heat_start_in_equilibrium():
     assert speed(hot) < 1e-4
 
 
-def test_the_datum_is_a_wall_a_point_or_the_top():
+def test_the_datum_of_the_pressure_may_be_a_wall_a_point_or_the_top():
     for given, base in (
         ({}, RHO),
         ({"datum_pressure": 0.5}, RHO + 0.5),
@@ -218,7 +218,7 @@ def test_a_density_that_varies_along_levels_is_warned_of():
         at_rest(density=1 + x)
 
 
-def test_loads_around_a_periodic_domain_are_warned_of():
+def test_loads_along_a_periodic_direction_are_warned_of():
     with pytest.warns(InputWarning, match="balanced by no pressure, .* around the periodic domain"):
         at_rest(periodic="xy")
 

@@ -110,7 +110,7 @@ def continuous_states(diffusion, rng, spread):
 
 
 @pytest.mark.parametrize("name", one_of(3, MATERIALS))
-def test_power_is_that_of_the_ledger_and_positive_at_random_states(name, rng):
+def test_the_power_of_diffusion_equals_the_ledger_s_and_is_positive_at_random_states(name, rng):
     diffusion = Diffusion(MATERIALS[name], MESH)
     for spread in (0.02, 0.2):
         for states in (rough_states, continuous_states):

@@ -162,7 +162,7 @@ def test_heat_of_upwinding_is_shared_by_both_sides_of_a_facet():
     assert first > 1e-6
 
 
-def test_conduction_between_constants_is_refused_by_name():
+def test_conduction_with_constant_temperatures_in_cells_is_refused_by_name():
     options = {"discretisation": nv.Discretisation(m=0), "laws": {"viscosity": VISCOSITY}}
     with pytest.raises(nv.NgviscoError, match=r"Discretisation\.m = 0: expected 1 or 2 with a flux of heat"):
         run_of("coupled", nv.Heat(conductivity=0.1), steps=0, **options)
@@ -298,7 +298,7 @@ def test_the_dissipation_of_field_diffusion_becomes_heat_in_the_coupled_solver()
     ("curvature", "said"),
     [(0.0, r"Initial\.values.*a value of 's'"), (-3.0, r"Model\.material.*convex in the entropy")],
 )
-def test_an_energy_of_the_user_s_own_has_a_temperature_that_rises(curvature, said):
+def test_a_user_s_energy_must_have_a_temperature_that_rises_with_the_entropy(curvature, said):
     good = nv.Thermal(material=nv.LinearElastic(K_e=10.0, G_e=5.0), c=3.0, theta_R=1.0)
     own = nv.CustomMaterial(
         transported=good.variables, stored_energy=lambda **z: good.energy(z) + curvature * z["s"] * z["s"]
@@ -400,7 +400,7 @@ def test_a_heated_body_becomes_warmer_than_the_other_body():
 
 
 @pytest.mark.parametrize("solver", ["coupled", "split"])
-def test_friction_shares_its_heat_with_the_wall(solver):
+def test_the_wall_takes_its_share_of_the_friction_heat(solver):
     share = 0.25
     wall = nv.NavierFriction(0.2, heat=nv.WallHeat(friction_share=share))
     ledger = run_of(solver, nv.Heat(numerical_heating=True), laws={}, walls={"bottom": wall}).ledger

@@ -72,7 +72,7 @@ def test_continuity_conserves_mass_for_any_state(case: Case) -> None:
 
 
 @by_case
-def test_convection_is_powerless(case: Case) -> None:
+def test_convection_has_no_power(case: Case) -> None:
     step = step_of(case)
     randomise(step, 2)
     force = block(step, rows(step, "Convection"), "v")
@@ -107,7 +107,7 @@ def test_elastic_force_is_the_adjoint_of_the_transport(case: Case) -> None:
 
 
 @by_case
-def test_creep_power_is_a_square(case: Case) -> None:
+def test_the_power_of_creep_is_a_square(case: Case) -> None:
     """With the projected conjugates, - int rate(z; 0, Pi) : zeta = int R |M|^2."""
     step = step_of(case)
     randomise(step, 5)
@@ -185,7 +185,7 @@ def test_elastic_force_of_a_uniform_distortion_equals_that_of_the_stress(dim: in
     check_against_stress(case, {"F": F, "J": CF(1.4)})
 
 
-def test_stokes_force_has_both_viscosities() -> None:
+def test_the_stokes_force_contains_both_viscosities() -> None:
     """The force is int (K_v tr eps I + 2 G_v dev eps) : eps(w), also in 2D with the deviator of the 3x3
     tensor."""
     for dim in (2, 3):

@@ -89,13 +89,13 @@ def test_a_wall_declared_as_a_polygon_that_is_none_is_refused(mesh, wall):
 
 
 @pytest.mark.parametrize("mesh", [lambda: polygon(5, 0.5), lambda: polygon(6, 2.0)], ids=["5", "6"])
-def test_corners_of_60_degrees_and_more_pass(mesh):
+def test_corners_of_60_degrees_and_more_are_accepted(mesh):
     Walls(mesh())
 
 
 @pytest.mark.parametrize(("order", "refined"), [(2, 0), (3, 0), (3, 1)])
 @pytest.mark.parametrize("name", [n for n in UNCURVED if n != "fine disc"])
-def test_curved_cells_pass(name, order, refined):
+def test_curved_cells_are_accepted(name, order, refined):
     """Curved cells pass also on a refined mesh, whose facets have other numbers than edges or faces."""
     make, wall = UNCURVED[name]
     mesh = make()
@@ -105,7 +105,7 @@ def test_curved_cells_pass(name, order, refined):
     require_curved_cells(mesh, {wall: walls_of(mesh, [wall])})
 
 
-def test_a_box_whose_sides_have_one_name_passes():
+def test_a_box_whose_sides_have_one_name_is_accepted():
     for mesh in (box((1, 2), 0.5), box((1, 2, 1), 1)):
         renamed = one_name(mesh)
         require_curved_cells(renamed, {"wall": walls_of(renamed, ["wall"])})

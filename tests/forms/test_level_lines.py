@@ -32,7 +32,7 @@ def run(discretisation=OUTLINED, mesh=None, **arguments):
     )
 
 
-def test_distance_from_a_circle_and_a_square():
+def test_the_distance_from_a_circle_and_a_square_is_right():
     """The errors are those of the projection of a distance to P_2, at most a tenth of a cell at kinks."""
     mesh = box((1, 1), 0.1)
     ball = signed_distance(mesh, nv.Ball((0.5, 0.5), 0.3), 2)
@@ -48,7 +48,7 @@ def test_distance_has_one_sign_without_an_outline():
     assert signed_distance(mesh, as_shape("where", 1 + x), 2)(mesh(0.4, 0.4)) == pytest.approx(2**0.5)
 
 
-def test_lines_of_a_linear_distance_are_planes(rng):
+def test_level_lines_of_a_linear_distance_are_planes(rng):
     """Levels, projected indicators and shares of strips agree with the exact formulas for half-spaces."""
     mesh = box((1, 1), 0.4)
     cells, theta = np.arange(mesh.ne), rng.uniform(0.05, 0.95, mesh.ne)

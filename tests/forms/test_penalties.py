@@ -42,14 +42,14 @@ SOLID = nv.LinearElastic(K_e=1e3, G_e=1e3)
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_a_step_of_the_temperature_decays_by_fourier_s_law():
+def test_a_jump_of_the_temperature_decays_by_fourier_s_law():
     material = nv.Thermal(material=SOLID, c=2.0, theta_R=100.0)
     model = nv.Model(material=material, heat=nv.Heat(conductivity=2.0 * DIFFUSIVITY))
     run = halves(model, lambda step: nv.Initial(density=1.0, temperature=100 + step))
     assert left(run, "temperature") == pytest.approx(EXACT, rel=0.03)
 
 
-def test_a_step_of_the_density_decays_by_fick_s_law():
+def test_a_jump_of_the_density_decays_by_fick_s_law():
     model = nv.Model(material=SOLID, regularisation=Regularisation(delta_density=DIFFUSIVITY, r=2.0))
     run = halves(model, lambda step: nv.Initial(density=1 + step))
     assert left(run, "density") == pytest.approx(EXACT, rel=0.03)

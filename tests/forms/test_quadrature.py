@@ -57,7 +57,7 @@ def test_integrands_are_interpreted_by_default(monkeypatch):
     not (shutil.which("c++") and shutil.which(SCRIPT, path=str(Path(sys.executable).parent))),
     reason="no compiler",
 )
-def test_machine_code_has_the_same_values(monkeypatch):
+def test_compiled_integrands_have_the_same_values(monkeypatch):
     monkeypatch.setenv(VARIABLE, "1")
     mesh = Mesh(unit_square.GenerateMesh(maxh=0.5))
     f = CF((sin(3 * x) * y, IfPos(x - y, x, -y)))
@@ -65,7 +65,7 @@ def test_machine_code_has_the_same_values(monkeypatch):
     assert machine == pytest.approx(given, rel=1e-14)
 
 
-def test_an_unknown_way_of_compilation_is_refused(monkeypatch):
+def test_an_unknown_option_of_compilation_is_refused(monkeypatch):
     monkeypatch.setenv(VARIABLE, "yes")
     with pytest.raises(ParameterError, match="NGVISCO_COMPILE = 'yes'"):
         compiled(x)

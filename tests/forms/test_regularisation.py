@@ -109,7 +109,7 @@ CONVECTED = {
 
 
 @pytest.mark.parametrize("case", CONVECTED)
-def test_skew_convection_equals_the_paper_s_minus_half_of_continuity(case):
+def test_skew_convection_is_the_paper_s_convection_minus_half_the_continuity_equation(case):
     """The force is div(m x v) + delta |grad rho|^(r-2) (grad v) grad rho - v/2 div(m - delta |grad
     rho|^(r-2) grad rho).
 
@@ -202,7 +202,7 @@ def test_cut_off_is_c1_and_zero_beyond_its_width():
 
 
 @pytest.mark.parametrize(("rho_max", "width"), [(1.0, 1.0), (0.2, 1.0), (3.0, 0.1)])
-def test_the_flow_of_a_cut_off_density_is_a_rising_plus_a_falling_function(rho_max, width):
+def test_the_flow_of_a_cut_off_density_is_split_into_a_rising_and_a_falling_function(rho_max, width):
     law, point, rho = Regularisation(rho_max=rho_max, width=width), POINTS(0.2, 0.2), Parameter(0.0)
     parts, found = (law.carried(rho), law.rising(rho), law.falling(rho)), []
     values = np.linspace(-0.1, rho_max + width + 0.1, 2001)

@@ -408,7 +408,7 @@ def viscous(centre=(0.5, 0.6)):
         ((1.0, 1.0, 1.0), False, "without amounts"),
     ],
 )
-def test_incoming_tensors_have_the_determinant_that_is_restored(stretch, amounts, said):
+def test_incoming_tensors_have_the_determinant_that_sharpening_restores(stretch, amounts, said):
     share = IfPos(0.5 - y, 1.0, 0.0)
     diagonal = CF((stretch[0], 0, 0, 0, stretch[1], 0, 0, 0, stretch[2]), dims=(3, 3))
     inlet = nv.Inflow(
@@ -428,7 +428,7 @@ def test_incoming_tensors_have_the_determinant_that_is_restored(stretch, amounts
     assert said is None or error.value.field == "walls['left'].values['B_disc']"
 
 
-def test_a_run_closes_and_both_solvers_agree():
+def test_the_ledger_of_a_sharp_run_closes_and_both_solvers_agree():
     (split, table), (coupled, _) = turned("split"), turned("coupled")
     assert np.abs(split("closure_relative")).max() < 1e-10
     assert split("limiter").min() > -1e-12 * split("stored").max()
@@ -531,7 +531,7 @@ def test_a_step_that_carries_an_interface_over_0_7_cell_heights_is_warned_of_onc
     assert all("by 1 heights of a cell" in text and "Take dt or dt_max <= 0.079 s" in text for text in said)
 
 
-def test_matter_that_crosses_a_whole_cell_in_a_step_is_not_exchanged():
+def test_cells_exchange_no_matter_that_crosses_a_whole_cell_in_a_step():
     """If a step carries a strip through a whole cell, the strip comes from a cell farther away, whose plane
     is not known. With an exchange by such strips, matter gathered in the small cells at the ends of a lid."""
     _, bounds = smeared()
@@ -588,7 +588,7 @@ def test_a_moving_interface_keeps_its_width():
         ({"limiter": False}, "limiter"),
     ],
 )
-def test_models_that_sharp_would_not_conserve_are_refused_by_name(options, said):
+def test_sharp_is_refused_in_models_in_which_it_would_break_conservation(options, said):
     model = options.get("model") or nv.Model(
         bodies=bodies(options.get("material", LINEAR), options.get("density", 1.0))
     )

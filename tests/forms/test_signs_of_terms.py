@@ -43,7 +43,7 @@ def test_an_impedance_has_factors_for_the_normal_and_the_tangential_velocity():
     np.testing.assert_allclose(force, (-2 * 2.0 * V[0], -2 * 0.5 * V[1]), rtol=0.05)
 
 
-def test_springs_pull_back_by_what_the_wall_has_moved():
+def test_springs_pull_back_in_proportion_to_the_displacement_of_the_wall():
     V = (2e-4, 1e-4)
     wall = nv.Open(stiffness=(200.0, 50.0))
     force, _ = pushed(wall, wall, V)

@@ -48,7 +48,7 @@ def stored(step):
 
 @pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.long)])
 @pytest.mark.parametrize("solid", LINEAR)
-def test_negative_tensors_are_made_positive_and_no_other_value_changes(solid, dim):
+def test_indefinite_tensors_are_made_positive_definite_and_no_other_value_changes(solid, dim):
     step = stretched(LINEAR[solid], 1.5, dim)
     sampler, u = Sampler(step.mesh, step.quadrature), step.now
     bounds, material = Bounds(step, sampler), step.model.material

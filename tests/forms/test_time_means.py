@@ -37,7 +37,7 @@ def mean(value, begin=0.0, length=0.1):
 
 
 @pytest.mark.parametrize("value", [CF(T), 2 * T, -T, T / 2, 3 * sin(T), x * (2 * T), CF((2 * T, 0.0))])
-def test_a_function_is_known_to_depend_on_time(value):
+def test_the_dependence_of_a_function_on_time_is_detected(value):
     """NGSolve shortens the name of a multiple of the time: 2 t was taken for a constant, and not
     averaged."""
     assert may_read_time(value) and not may_read_time(2 * x)

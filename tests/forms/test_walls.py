@@ -82,7 +82,7 @@ def test_a_curved_wall_is_not_axis_parallel() -> None:
     assert axis_parallel_walls(disc()) == ([[], []], ["rim"])
 
 
-def test_one_name_for_walls_of_two_directions_is_not_axis_parallel() -> None:
+def test_a_boundary_with_walls_of_two_directions_is_not_axis_parallel() -> None:
     assert axis_parallel_walls(named_square(("all", "all", "all", "all"))) == ([[], []], ["all"])
 
 
@@ -96,7 +96,7 @@ def test_cells_of_types_without_finite_element_spaces_are_refused(kind) -> None:
         check_mesh(mesh)
 
 
-def test_an_interface_between_cells_is_no_wall() -> None:
+def test_an_interface_between_cells_is_not_a_wall() -> None:
     """Runs with an interface equal runs on the same cells without it, see ``run/test_periodic``."""
     left, right = occ.Rectangle(0.5, 1).Face(), occ.MoveTo(0.5, 0).Rectangle(0.5, 1).Face()
     left.edges.Max(occ.X).name = "interface"

@@ -92,7 +92,7 @@ def test_wrong_amounts_of_inflowing_bodies_are_refused(wall, message):
         stream(walls={"right": nv.Open(**wall)})
 
 
-def test_an_unknown_body_that_flows_in_is_named():
+def test_amounts_of_an_unknown_body_at_an_inflow_are_refused_with_the_nearest_name():
     with pytest.raises(nv.UnknownNameError, match="did you mean 'medium'"):
         stream(walls={"right": nv.Open(amounts={"medum": 1.0})})
 
@@ -257,7 +257,7 @@ def test_given_amounts_of_inflow_bring_their_masses(solver):
 
 
 @pytest.mark.parametrize("solver", ["split", "coupled"])
-def test_a_given_inflow_temperature_has_the_entropy_at_the_present_volume(solver):
+def test_a_given_inflow_temperature_sets_the_entropy_at_the_present_volume(solver):
     through = nv.Inflow(velocity=(1.0, 0.0), temperature=330.0)
     initial = nv.Initial(density=1.0, F=1.1 * Id(3), velocity=(1.0, 0.0), temperature=330.0)
     model, walls = nv.Model(material=WARM, viscosity=VISCOUS), {("left", "right"): through}
@@ -543,7 +543,7 @@ def test_a_gas_has_a_volume_at_every_pressure(pressure):
     assert rho == pytest.approx(3.0 / J, rel=1e-12)
 
 
-def test_inflow_values_at_rest_under_a_pressure_are_warned_of():
+def test_unstressed_inflow_values_under_a_given_pressure_are_warned_of():
     with pytest.warns(nv.InflowWarning, match="through 'left' with the given values of J has another stress"):
         let_in(0.3, density=1.0, values={"J": CF(1.0)})
 
@@ -680,7 +680,7 @@ def test_inflow_does_not_extrapolate_the_slope_of_the_density(m, solver):
     assert Integrate(away * away, mesh) ** 0.5 < 1e-3
 
 
-def test_a_volume_that_flows_in_needs_its_density():
+def test_a_given_inflow_volume_requires_a_density():
     with pytest.raises(nv.ParameterError, match=r"density = None: .*the values contain a volume"):
         walls = {"right": nv.Open(values={"J": 1.1})}
         nv.Simulation(box((1, 1), 0.5), nv.Model(material=FLUID), dt=0.1, walls=walls)

@@ -54,7 +54,7 @@ def test_division_leaves_no_cell_in_a_corner_and_keeps_the_domain(name):
     assert now == pytest.approx(parts)
 
 
-def test_identified_boundaries_are_no_walls():
+def test_identified_boundaries_are_not_walls():
     assert len(corner_cells(g.structured_box((1, 1), (3, 3)))) == 2
     assert not corner_cells(g.structured_box((1, 1), (3, 3), periodic="x"))
 
@@ -83,7 +83,7 @@ def test_geometries_divide_corner_cells_on_request(make):
         make("yes")
 
 
-def test_a_file_is_divided(tmp_path):
+def test_corner_cells_of_a_mesh_file_are_divided_on_request(tmp_path):
     g.box((1, 1), 0.3).ngmesh.Save(str(tmp_path / "box.vol"))
     assert corner_cells(g.load(tmp_path / "box.vol"))
     assert not corner_cells(g.load(tmp_path / "box.vol", split_corners=True))

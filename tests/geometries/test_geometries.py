@@ -83,7 +83,7 @@ def test_a_mesh_that_may_crash_netgen_is_made_in_another_process():
 
 
 @pytest.mark.parametrize("periodic", ["x", "y", "xy", "xyz"])
-def test_identified_walls_have_pairs(periodic):
+def test_boundaries_of_a_periodic_box_are_identified_in_pairs(periodic):
     from ngvisco.forms.boundary.boundaries import periodic_boundaries
 
     mesh = g.box((1, 1, 1) if "z" in periodic else (1, 1), 0.6, periodic=periodic)

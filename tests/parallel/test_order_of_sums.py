@@ -11,7 +11,7 @@ pytestmark = needs_petsc
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_a_three_dimensional_step_and_interpolation_do_not_depend_on_the_late_rank(monkeypatch):
+def test_a_three_dimensional_step_and_interpolation_do_not_depend_on_which_rank_is_late(monkeypatch):
     """Ledger and states before and after the step do not depend on the rank that is late, unless MUMPS runs
     over ranks."""
     monkeypatch.setenv("PETSC_OPTIONS", "-ngvisco_on_one_rank_up_to 100000")

@@ -223,7 +223,7 @@ def test_a_start_at_rest_over_ranks_equals_that_of_one_process(names, ranks):
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_small_systems_run_over_ranks(monkeypatch):
+def test_small_linear_systems_may_be_distributed_over_ranks(monkeypatch):
     """The linear systems of the flow, of diffusing fields and of the density are distributed by an option. By
     default one rank has all rows of such small systems."""
     name = "split, all regularisations"

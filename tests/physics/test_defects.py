@@ -46,7 +46,7 @@ def test_a_change_of_any_single_variable_is_a_defect(name):
         assert 0.02 < max(map(abs, defects(PAIRED[name], changed).values())) < 0.5, variable.name
 
 
-def test_relaxing_determinant_is_no_defect():
+def test_a_relaxing_determinant_is_not_a_defect():
     z = state(EXAMPLES["OldroydB"])
     assert "det B and 1" in defects(EXAMPLES["OldroydB"], z)
     assert defects(EXAMPLES["OldroydB"], z, ["B"]) == {}

@@ -71,7 +71,7 @@ def state(name, rng):
     return {v.name: at_point(v.from_distortion(tensor(F))) for v in ALL[name].variables}
 
 
-def test_linear_elastic_stress_is_hooke_s_with_the_energy_s_pressure(rng):
+def test_the_linear_elastic_stress_is_hooke_s_law_plus_the_energy_as_pressure(rng):
     """T = S + phi I, S = K_e tr E I + 2 G_e dev E (paper: St.Venenat-Kirchhoff-linear); M = dev S."""
     linear, E = EXAMPLES["LinearElastic"], state("LinearElastic", rng)["E"]
     S = 10 * np.trace(E) * np.eye(3) + 10 * trace_free(E)
@@ -318,14 +318,14 @@ def test_ogden_is_mooney_rivlin_where_its_exponents_are_two(rng):
         ("mu", "the sign of its exponent", {"mu": (1.0,), "alpha": (-2.0,)}),
     ],
 )
-def test_ogden_refuses_what_is_not_convex(field, said, given):
+def test_ogden_refuses_parameters_that_make_its_energy_not_convex(field, said, given):
     with pytest.raises(nv.ParameterError, match=re.escape(said)) as raised:
         nv.Ogden(K_e=1.0, **given)
     assert raised.value.field == f"Ogden.{field}"
 
 
 @pytest.mark.parametrize("form", ["J", "A"])
-def test_barotropic_state_equation(form):
+def test_the_barotropic_pressure_is_a_power_of_the_density(form):
     """The Cauchy stress -p I has p = a rho^gamma with a = (gamma - 1) B/rho_R^gamma."""
     a, gamma, rho_R = 3.0, 1.7, 2.5
     fluid = nv.BarotropicFluid.from_state_equation(a, gamma, rho_R, form)
@@ -454,7 +454,7 @@ def test_convexity_is_required_in_the_energy_s_domain_only(energy, passes):
     assert nv.check_convexity(material, dim=2, warn=False).passed is passes
 
 
-def test_volumetric_energy_is_exact_near_J_of_one():
+def test_the_volumetric_energy_keeps_its_digits_near_J_of_one():
     """K_e/2 (J - 2 + 1/J) would have an error of K_e times the rounding of 1, which is 1e4 times the energy
     at J = 1 + 1e-10."""
     for J in (1 + 2.0**-33, 1 - 2.0**-33):

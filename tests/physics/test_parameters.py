@@ -26,7 +26,7 @@ def test_an_expression_of_parameters_has_the_value_of_its_formula():
     assert theta.typical == 0.5 and chi.typical == 0.3
 
 
-def test_a_modulus_may_read_a_number_of_ngsolve():
+def test_a_modulus_may_contain_a_parameter_of_ngsolve():
     known = ngsolve.Parameter(2.0)
     assert nv.StokesViscosity(K_v=1.0, G_v=x * known).G_v.parameters[0].start is not None
 
@@ -85,7 +85,7 @@ def test_two_parameters_of_one_name_are_refused_in_any_place():
 
 
 @pytest.mark.parametrize("name", ["disc", "G", "G_e"])
-def test_a_body_s_own_parameters_have_its_name_once(name):
+def test_names_of_a_body_s_parameters_get_the_prefix_of_the_body_once(name):
     """Names get the prefix of the body once, also if the modulus has a name with the same beginning, or if a
     second model is made of the bodies."""
     material = nv.ReferentialNeoHookean(K_e=1.0, G_e=1 + x)
@@ -130,7 +130,7 @@ def test_laws_share_a_carried_parameter_if_they_are_given_the_same_function():
     assert names(nv.Model(bodies=bodies))[-4:] == ["a_A", "a_A_2", "b_A", "b_A_2"]
 
 
-def test_a_temperature_given_to_laws_becomes_the_run_s_without_thermal_material():
+def test_without_a_thermal_material_the_temperature_given_to_laws_is_the_run_s_temperature():
     solid = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
     start = 300 + 10 * x
     model = nv.Model(material=solid, **arrhenius(start, start))
@@ -144,7 +144,7 @@ def test_a_temperature_given_to_laws_becomes_the_run_s_without_thermal_material(
 
 
 @pytest.mark.parametrize("mean", ["arithmetic", "geometric", "harmonic", "root"])
-def test_a_carried_parameter_gives_its_value_back_and_has_the_stated_mean(mean):
+def test_a_carried_parameter_returns_its_value_and_is_averaged_by_the_stated_mean(mean):
     parameter, share = nv.Parameter("eta", start=2.0, mean=mean), 1e-5
     low, high = (parameter.carried(np.array([value])) for value in (1.0, 1e6))
     assert parameter.at({"eta": Array(high)}).value == pytest.approx(1e6, rel=1e-12)

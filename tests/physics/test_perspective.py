@@ -87,7 +87,7 @@ def test_convex_energies_stay_convex(name, dim):
         assert nv.check_isotropy(material, dim=dim).passed
 
 
-def test_the_energy_of_F_and_J_divided_by_J_is_not_convex():
+def test_an_energy_of_F_and_J_that_is_only_divided_by_J_is_not_convex():
     """The perspective is convex: phi = psi(F, J)/J with the neo-Hookean psi of F and J."""
     inner = PSI["neo_hookean"]
     plain = nv.CustomMaterial(

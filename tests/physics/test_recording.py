@@ -48,7 +48,7 @@ def test_a_recorded_program_has_the_same_bits_as_its_function():
         assert all(np.array_equal(found[name], values) for name, values in expected.items())
 
 
-def test_equal_and_useless_operations_are_left_out():
+def test_repeated_and_unused_operations_are_left_out():
     calls = []
 
     def counted(a):

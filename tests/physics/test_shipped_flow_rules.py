@@ -48,7 +48,7 @@ def stress(rule, Pi):
         (nv.Eyring(A=0.7, sigma_0=2.0), math.sqrt(2) * SHEAR, 0.7 * math.sinh(1.0) / math.sqrt(2) * SHEAR),
     ],
 )
-def test_rates_are_those_of_the_literature(rule, M, expected):
+def test_rates_equal_the_formulas_of_the_literature(rule, M, expected):
     assert rate(rule, M) == pytest.approx(expected, rel=1e-13, abs=1e-15)
 
 
@@ -97,7 +97,7 @@ def test_slopes_by_complex_increments_equal_central_differences(name, size):
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_a_model_takes_every_rule(name):
+def test_a_model_accepts_every_shipped_rule(name):
     nv.Model(material=nv.LinearElastic(K_e=10.0, G_e=5.0), creep=EXAMPLES[name])
 
 
@@ -188,6 +188,6 @@ def test_a_valid_rule_is_accepted(nu):
     nv.Model(material=nv.LinearElastic(K_e=10.0, G_e=5.0), creep=Odd(nu=nu))
 
 
-def test_the_relaxation_time_of_the_linear_rule_is_that_of_maxwell():
+def test_the_linear_rule_has_the_relaxation_time_of_maxwell():
     assert nv.Creep(G_m=3.0).relaxation_time(5.0, {}) == pytest.approx(0.3, rel=1e-14)
     assert nv.Creep(G_m=math.inf).relaxation_time(5.0, {}) == math.inf

@@ -130,7 +130,7 @@ def internal(given, S, J):
 
 
 @pytest.mark.parametrize("pair", some("gas and solid"))
-def test_bodies_share_volume_and_entropy_so_that_the_energy_is_least(pair):
+def test_bodies_share_volume_and_entropy_so_that_the_energy_is_minimal(pair):
     """For comparison, the energy is minimised over volumes and entropies. Differences of the minimum give
     pressure and temperature."""
     material, (one, other) = mixture(pair), PAIRS[pair]
@@ -250,7 +250,7 @@ def test_a_clamped_body_that_is_cooled_breaks_like_a_material_point():
     assert run.fields["damage"](run.mesh(0.3, 0.4)) > 0.3
 
 
-def test_heat_has_to_wrap_damage_and_other_orders_are_refused():
+def test_a_thermal_material_wraps_a_damaged_one_and_the_reverse_order_is_refused():
     warm = nv.Thermal(material=RUBBER, c=C_V, theta_R=WARM, expansion=BETA)
     with pytest.raises(nv.ParameterError, match=r"Damaged\.material.*nv\.Thermal\(material=\.+\) around"):
         nv.Damaged(material=warm, G_c=0.1, length=0.5)

@@ -37,7 +37,7 @@ def isotropic(K, G):
     return 3 * K * sph + 2 * G * (one - sph)
 
 
-def test_every_notation_of_a_viscosity_is_the_map_of_its_definition():
+def test_every_notation_of_a_viscosity_gives_the_stress_of_its_definition():
     e = symmetric()
     in_mandel = value(LAW.stress(tensor(e), {}))
     assert vector(in_mandel, 2**0.5) == pytest.approx(MANDEL @ vector(e, 2**0.5), rel=1e-13)
@@ -88,12 +88,12 @@ def changed(at, by):
         (np.eye(6), "kelvin", "one of mandel, voigt, tensor"),
     ],
 )
-def test_wrong_D_is_refused_with_what_is_wrong(D, notation, words):
+def test_a_wrong_D_is_refused_with_the_reason(D, notation, words):
     with pytest.raises(nv.ParameterError, match=words):
         nv.LinearViscosity(D=D, notation=notation)
 
 
-def test_semidefinite_D_passes():
+def test_a_semidefinite_D_is_accepted():
     nv.LinearViscosity(D=np.zeros((6, 6)), notation="mandel")
     nv.LinearViscosity(D=np.diag([1.0, 0, 0, 0, 0, 0]), notation="voigt")
     assert nv.LinearViscosity(D=np.eye(6), notation="mandel") == nv.LinearViscosity(
@@ -127,12 +127,12 @@ def stress(law, eps, pressure=0.0, temperature=300.0):
         ("activated", 4.0, 8.0),
     ],
 )
-def test_shear_stresses_are_those_of_the_literature(name, rate, expected):
+def test_shear_stresses_equal_the_formulas_of_the_literature(name, rate, expected):
     assert stress(LAWS[name], rate * SHEAR)[0, 1] == pytest.approx(expected, rel=1e-8)
     assert stress(LAWS[name], np.eye(3)) == pytest.approx(3.0 * np.eye(3), rel=1e-12)
 
 
-def test_activation_follows_arrhenius_and_barus():
+def test_the_activation_factor_follows_arrhenius_and_barus():
     warm = stress(LAWS["activated"], SHEAR, pressure=1e6, temperature=350.0)[0, 1]
     assert warm == pytest.approx(
         2.0 * np.exp((2e4 + 1.0) / (GAS_CONSTANT * 350) - 2e4 / (GAS_CONSTANT * 300))
@@ -184,5 +184,5 @@ def model(viscosity):
 
 
 @pytest.mark.parametrize("name", ["power law", "Carreau", "Cross"])
-def test_a_model_takes_every_viscosity(name):
+def test_a_model_accepts_every_shipped_viscosity(name):
     model(LAWS[name])

@@ -129,7 +129,7 @@ def test_a_users_energy_has_a_minimiser_for_a_state_outside_its_domain() -> None
     assert np.linalg.det(y.reshape(3, 3)) > 0
 
 
-def test_an_approximation_without_a_minimum_names_the_reason() -> None:
+def test_an_approximation_without_a_minimum_reports_the_reason() -> None:
     material = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: -10 * (J - 1) * (J - 1))
     response = respond(nv.Yosida(material=material, eps=1.0), 2)(np.array([[1.2]]))
     assert response.failure is not None and "eps = 1" in response.failure

@@ -26,7 +26,7 @@ BODIES = [
     ],
     ids=["neo-Hookean", "creep and hyperviscosity", "heat", "bodies"],
 )
-def test_arrays_and_integrals_agree(options):
+def test_dissipation_on_sides_by_arrays_equals_ngsolve_s_integrals(options):
     viscosity = {} if "bodies" in options else {"viscosity": nv.StokesViscosity(K_v=0.1, G_v=0.1)}
     run = small_run(solver="split", velocity=SWIRL, **viscosity, **options)
     run.advance()

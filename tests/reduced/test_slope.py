@@ -43,7 +43,7 @@ def test_rounding_at_rest_is_no_difference():
     assert slope.arrays is not None
 
 
-def test_only_the_curved_part_of_the_energy_of_bodies_is_differentiated():
+def test_only_the_nonlinear_part_of_the_energy_of_bodies_is_differentiated():
     """Energies that are linear in X_i and n_i have the curvature of the common volumetric energy alone."""
     gas = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 10 * (J - 1) * (J - 1) / J)
     solid = nv.ReferentialNeoHookean(K_e=20.0, G_e=3.0)
@@ -64,7 +64,7 @@ def test_only_the_curved_part_of_the_energy_of_bodies_is_differentiated():
     assert np.allclose(response, by_columns, rtol=0, atol=1e-13 * abs(by_columns).max())
 
 
-def test_one_increment_differentiates_a_column_of_each_branch():
+def test_one_increment_gives_a_column_of_the_hessian_for_each_branch():
     coupled = nv.CustomMaterial(
         transported=(LeftCauchyGreen(exponent=-5 / 3), CofactorLeftCauchyGreen(exponent=-4 / 3), Jacobian()),
         stored_energy=lambda B, N, J: tr(B) * tr(B) / J + tr(N) * tr(N) + 20 * (J - 1) * (J - 1) / J,

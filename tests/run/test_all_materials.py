@@ -35,7 +35,7 @@ ALL_IN_SPACE = [
 
 
 @pytest.mark.parametrize(("name", "m"), ALL_IN_SPACE)
-def test_ledger_closes_and_mass_and_positivity_hold(name, m):
+def test_the_ledger_closes_mass_is_conserved_and_density_and_J_stay_positive(name, m):
     """Some runs have constants in cells without hyperviscosity, the others all terms; ``test_split_agrees``
     runs all materials in the plane."""
     run = simulation(EXAMPLES[name], 3, hyper=m > 0, discretisation=nv.Discretisation(m=m))
@@ -71,7 +71,7 @@ FORMS = {
 
 
 @pytest.mark.parametrize("name", others_by_ci(FORMS, "fluid by J and by A"))
-def test_elastic_states_of_a_material_agree_at_the_order_of_the_scheme(name):
+def test_runs_with_different_elastic_states_agree_at_the_order_of_the_scheme(name):
     """F and B agree at first order in tau, since B keeps what F loses in a step; other forms agree at order
     m + 1."""
     *materials, most = FORMS[name]

@@ -22,7 +22,7 @@ def about_the_axis(mesh=0.5, dt=0.02, **options):
 
 
 @pytest.mark.parametrize(("solver", "elastic_state"), each_once(SOLVERS, ["F", "B"]))
-def test_homogeneous_stretch_equals_that_of_a_material_point(solver, elastic_state):
+def test_a_homogeneous_stretch_equals_the_stretch_of_a_material_point(solver, elastic_state):
     """The walls prescribe v = (a r, b y), which carries the body through the walls. F, the density, the
     viscous power and the stress agree to rounding with backward Euler steps of a material point, and F_33 =
     F_rr."""
@@ -98,7 +98,7 @@ def test_wall_forces_balance_the_weight():
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_flow_in_a_pipe_is_poiseuilles(solver):
+def test_flow_in_a_pipe_is_poiseuille_flow(solver):
     """P_2 contains the exact v_y = rho g (R^2 - r^2)/(4 G_v), which is 1/4 at the axis, twice its mean."""
     run = about_the_axis(
         structured_box((1, 0.5), (3, 1), periodic="y"),
@@ -123,7 +123,7 @@ def ring(inner: float, cells: int) -> Mesh:
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_thick_cylinder_under_pressure_is_lames(solver):
+def test_a_thick_cylinder_under_pressure_has_the_stresses_of_lame(solver):
     """In plane strain T_rr and T_33 = p a^2/(1 - a^2) (1 -+ 1/r^2).
 
     The error in L2, over the pressure, falls with the second order of P_1 from 6 to 12 cells, and is between
@@ -177,19 +177,19 @@ def test_translation_along_the_axis_leaves_a_strained_body_as_it_is():
         "FieldDiffusion": {"regularisation": nv.Regularisation(delta_fields=1e-3)},
     }.items(),
 )
-def test_laws_and_walls_that_do_not_fit_an_axis_are_refused(field, parts):
+def test_laws_and_walls_without_an_axisymmetric_form_are_refused(field, parts):
     with pytest.raises(ParameterError) as error:
         about_the_axis(**{"symmetry": "axisymmetric", **parts})
     assert field.strip() in str(error.value)
 
 
-def test_a_mesh_beyond_the_axis_is_refused():
+def test_a_mesh_with_points_beyond_the_axis_is_refused():
     mesh = MakeStructured2DMesh(quads=False, nx=2, ny=2, mapping=lambda r, h: (r - 0.5, h))
     with pytest.raises(MeshError, match=r"x = -0\.5 m"):
         about_the_axis(mesh)
 
 
-def test_a_checkpoint_of_plane_strain_does_not_fit(tmp_path):
+def test_an_axisymmetric_run_refuses_a_checkpoint_of_plane_strain(tmp_path):
     """The runs have the same mesh, spaces and material."""
     path = tmp_path / "run.h5"
     run = small_run(velocity=(0, 0), observers=[nv.Checkpoints(path, every=1)])
@@ -223,7 +223,7 @@ GOES_ON = {
     ("solver", "name"),
     others_by_ci(product(SOLVERS, GOES_ON), ("coupled", "one body")),
 )
-def test_a_resumed_run_is_the_uninterrupted_one_bit_by_bit(solver, name, tmp_path):
+def test_a_resumed_run_equals_the_uninterrupted_run_bit_for_bit(solver, name, tmp_path):
     """The run is resumed from the first step and from the last but one, with threads pinned to one, so that
     sums have one order."""
     SetNumThreads(1)

@@ -43,7 +43,7 @@ TERMS = {
 
 
 @pytest.mark.parametrize("name", [by_ci(name) if name == "bodies" else name for name in TERMS])
-def test_both_solvers_agree_and_close(name):
+def test_the_ledger_closes_and_both_solvers_agree(name):
     def make(solver):
         return small_run(symmetry="axisymmetric", velocity=VORTEX, solver=solver, **TERMS[name])
 
@@ -78,7 +78,7 @@ def test_heat_of_a_rod_leaves_through_its_side():
     assert 1e-6 <= off <= 2e-3
 
 
-def test_without_creep_F_tot_equals_F():
+def test_without_creep_the_total_distortion_equals_F():
     run = small_run(
         0.4,
         0.01,
@@ -96,7 +96,7 @@ def test_without_creep_F_tot_equals_F():
     assert np.linalg.det(F) == pytest.approx(run.fields["J"](at), abs=2e-3)
 
 
-def test_a_transfer_keeps_the_mass_about_the_axis():
+def test_a_transfer_of_an_axisymmetric_run_keeps_the_mass():
     runs = [small_run(h, symmetry="axisymmetric", density=1 + x * y, velocity=VORTEX) for h in (0.5, 0.3)]
     runs[0].run(0.04)
     done = nv.transfer(*runs)
@@ -138,7 +138,7 @@ def test_a_case_file_sets_the_symmetry(tmp_path):
     assert 'symmetry = "axisymmetric"' in case.resolved
 
 
-def test_a_case_about_an_axis_in_three_dimensions_is_refused_by_its_key(tmp_path):
+def test_an_axisymmetric_case_on_a_three_dimensional_mesh_is_refused_under_its_key(tmp_path):
     text = CASE.replace("size = [1, 1]", "size = [1, 1, 1]").replace('x)", 0]', 'x)", 0, 0]')
     case = parse_case(text, "case.toml", tmp_path)
     with pytest.raises(CaseError, match=r"domain\.symmetry"):

@@ -97,7 +97,7 @@ def fractions(run):
     "name",
     others_by_ci(CASES, "solid in a fluid"),
 )
-def test_ledger_mass_and_energy_hold_and_both_solvers_agree(name):
+def test_the_ledger_closes_masses_are_conserved_and_both_solvers_agree(name):
     """The columns bregman and limiter are >= 0 in every step. With bodies, rho is no unknown."""
     found = []
     for solver in ("split", "coupled"):
@@ -118,7 +118,7 @@ def test_ledger_mass_and_energy_hold_and_both_solvers_agree(name):
     assert_same(*found)
 
 
-def test_the_body_of_higher_order_fills_the_overlap_of_two():
+def test_the_body_of_higher_order_fills_the_overlap_of_two_bodies():
     """The bodies are halves of 1 and 3 kg/m^3 that overlap by 0.2 m."""
     for order, mass in ((1, 0.6 + 3 * 0.4), (-1, 0.4 + 3 * 0.6)):
         bodies = [

@@ -167,7 +167,7 @@ def test_surfaces_are_drawn_in_pictures_and_scenes(whole, tmp_path):
         assert len(data["outlines"][0]["values"]) == len(data["fields"][0]["values"])
 
 
-def test_a_passive_field_is_no_body():
+def test_a_passive_field_named_like_a_body_is_not_taken_for_a_body():
     """A passive field may have a name like a body's fraction. In lists of fields, fractions stand before the
     field ``body``."""
     passive, of_bodies = ["density", "dye_fraction", "pressure"], ["fluid_fraction", "disc_fraction", "body"]

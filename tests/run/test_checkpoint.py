@@ -36,7 +36,7 @@ SOLID = nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0)
 
 
 @pytest.mark.parametrize("solver", ["split", "coupled"])
-def test_a_run_goes_on_with_another_flow_rule(tmp_path, solver):
+def test_a_run_is_resumed_with_another_flow_rule(tmp_path, solver):
     """The checkpoint of linear creep has no linearisation stresses, which the flow rule with a yield stress
     needs."""
     simulation([nv.Checkpoints(tmp_path / "run.h5", every=1)], SOLID, solver=solver).run(0.04)
@@ -47,7 +47,7 @@ def test_a_run_goes_on_with_another_flow_rule(tmp_path, solver):
 
 
 @pytest.mark.parametrize("solver, other", [("split", "coupled"), ("coupled", "split")])
-def test_a_run_goes_on_with_the_other_solver(tmp_path, solver, other):
+def test_a_run_is_resumed_with_the_other_solver(tmp_path, solver, other):
     """A checkpoint by the split solver has only the unknowns on which that solver iterates."""
     whole = simulation([nv.Checkpoints(tmp_path / "run.h5", every=1, keep=9)], SOLID, solver=solver)
     whole.run(0.06)
@@ -115,7 +115,9 @@ def test_a_checkpoint_identifies_an_energy_by_its_values_not_by_its_name(tmp_pat
 @pytest.mark.long
 @pytest.mark.ci
 @pytest.mark.parametrize("solver", ["coupled", "split"])
-def test_bodies_with_heat_go_on_bitwise_and_their_heat_identifies_the_run(tmp_path, solver):
+def test_bodies_with_heat_are_resumed_bit_for_bit_and_a_run_with_another_heat_law_is_refused(
+    tmp_path, solver
+):
     """Two bodies have thermal pressures, so that each evaluation searches for their equilibrium at each
     point."""
     SetNumThreads(1)
@@ -143,7 +145,7 @@ def test_bodies_with_heat_go_on_bitwise_and_their_heat_identifies_the_run(tmp_pa
 ROUND = disc(1.0, maxh=0.4)
 
 
-def test_a_curved_mesh_comes_back_with_the_shape_of_its_geometry():
+def test_a_curved_mesh_is_read_back_with_the_shape_of_its_geometry():
     """Netgen writes curved cells to eight decimals, which changes this area by 3e-10."""
     found = mesh_of(mesh_image(ROUND))
     assert found.GetCurveOrder() == ROUND.GetCurveOrder() > 1
@@ -157,7 +159,7 @@ def test_curved_cells_without_a_geometry_keep_the_shape_in_the_file():
     assert volume_and_surface(found) == pytest.approx(volume_and_surface(ROUND), rel=1e-8)
 
 
-def test_a_checkpoint_that_could_not_be_written_is_written_at_the_end(tmp_path, monkeypatch):
+def test_a_checkpoint_that_could_not_be_written_is_written_at_the_end_of_the_run(tmp_path, monkeypatch):
     run, write, calls = (
         swirling(observers=[nv.Checkpoints(tmp_path / "run.h5", every=1)]),
         checkpoint.write_atomically,

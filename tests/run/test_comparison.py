@@ -76,7 +76,7 @@ def test_a_comparison_has_the_chosen_fields_of_probes(runs, tmp_path, drawn):
         (["--section", "x"], "--section = 'x'"),
     ],
 )
-def test_options_of_one_run_are_refused_for_several(runs, capsys, words, message):
+def test_options_for_a_single_run_are_refused_for_several_runs(runs, capsys, words, message):
     assert main(["plot", str(runs / "a"), str(runs / "b"), *words]) == 2
     assert message in capsys.readouterr().err
 
@@ -86,7 +86,7 @@ def test_a_comparison_with_a_directory_without_a_run_is_refused(runs, tmp_path, 
     assert "not a run directory with results" in capsys.readouterr().err
 
 
-def test_a_study_is_compared_by_the_values_that_vary(runs, capsys):
+def test_plot_of_a_study_compares_its_runs(runs, capsys):
     """The picture has the runs of a study that made a step, by their names."""
     (runs / "sweep.csv").write_text(
         "run,material.G_e,state,message\na,5,finished,\nb,1,finished,\nc,2,failed,no\n"

@@ -50,7 +50,7 @@ def exact_relaxation(t, G_m):
 
 
 @pytest.mark.parametrize("nu", [0.0, 0.1])
-def test_relaxation_at_fixed_shape_follows_the_ode_at_first_order(nu):
+def test_stress_relaxation_at_a_fixed_shape_follows_its_ode_at_first_order(nu):
     """Errors against the ODE halve with tau; the gradient term has no effect on a homogeneous state."""
     errors = []
     for dt in (0.02, 0.01):

@@ -87,7 +87,7 @@ def sheared(kind, part="tensile", G_c=0.1, **options):
 
 
 @pytest.mark.parametrize(("kind", "part"), [("AT1", "tensile"), ("AT2", "all")])
-def test_homogeneous_bar_follows_its_exact_curve(kind, part):
+def test_a_bar_with_homogeneous_damage_follows_its_exact_stress_curve(kind, part):
     """The damage is homogeneous. The bar follows the exact curve to rounding at every step, below the
     threshold of AT1 and above it."""
     run = sheared(kind, part)
@@ -138,7 +138,7 @@ def band(law, n):
 @pytest.mark.parametrize(
     ("law", "of_row", "width", "rows"), [("AT1", 3 / 8, 4 / 3, (11, 21, 41)), ("AT2", 1 / 2, 2.0, (21, 41))]
 )
-def test_strip_localises_to_a_band_of_the_width_of_its_length(law, of_row, width, rows):
+def test_damage_localises_to_a_band_with_the_width_and_energy_of_the_crack_profile(law, of_row, width, rows):
     """Across a crack d is (1 - |x|/2l)^2 or exp(-|x|/l) beside the broken row of cells.
 
     The height h of this row adds of_row h/l to the crack's cost (Bourdin, Francfort and Marigo, J.
@@ -199,10 +199,10 @@ def left_of_a_crack(area, stretch):
     each_once([(1.0, 0.0), (1.5, 0.0), (2.0, 0.0), (1.25, 0.25)], ["reference", "actual"]),
     ids=str,
 )
-def test_a_body_that_starts_stretched_has_the_crack_energy_of_its_reference(stretched, area):
+def test_a_crack_in_a_body_that_starts_stretched_has_the_energy_per_given_area(stretched, area):
+    """The damage is a function of X = (x - shear y)/stretch, for F = ((stretch, shear), (0, 1)). F is not
+    symmetric, so that its transpose would give another result."""
     stretch, shear = stretched
-    """Damage d of X = (x - shear y)/stretch for F = ((stretch, shear), (0, 1)). F is not symmetric, so that
-    its transpose would give another result."""
     mesh = structured_box((3.0, 0.2), (60, 2))
     law = damaged(law="AT1", G_c=1.0, length=CROSS, area=area, viscosity=1e6)
     F = CF((stretch, shear, 0, 0, 1, 0, 0, 0, 1), dims=(3, 3))
@@ -248,7 +248,7 @@ def test_damage_growth_per_step_is_a_column_and_fast_growth_is_warned_of():
     assert made[-1] > 0.01
 
 
-def test_steps_are_chosen_by_the_growth_of_the_damage():
+def test_adaptive_steps_are_chosen_by_the_growth_of_the_damage():
     most = 0.04
     adaptive = nv.AdaptiveSteps(dt_min=1e-3, dt_max=0.1, damage_growth=most)
     ledger = sheared("AT2", adaptive=adaptive).run(0.3)
@@ -264,12 +264,12 @@ def test_steps_are_chosen_by_the_growth_of_the_damage():
         Simulation(box((1, 1), maxh=0.9), nv.Model(material=RUBBER), dt=0.1, adaptive=adaptive)
 
 
-def test_small_strains_refuse_a_reference_area():
+def test_a_crack_energy_per_reference_area_is_refused_at_small_strains():
     with pytest.raises(nv.ParameterError, match=r"Damaged\.area.*'actual'.*small strain"):
         damaged(material=nv.LinearElastic(K_e=20.0, G_e=5.0), area="reference")
 
 
-def test_a_length_below_the_cells_is_warned_of():
+def test_a_damage_length_below_the_size_of_the_cells_is_warned_of():
     with pytest.warns(nv.InputWarning, match="below the size of the smallest cell"):
         Simulation(box((1, 1), maxh=0.9), nv.Model(material=damaged(length=0.1)), dt=0.1)
     law = damaged(material=nv.IsochoricNeoHookean(K_e=20.0, G_e=5.0), length=0.1)

@@ -46,7 +46,7 @@ def assert_damage(run, until=0.04, is_euler=True):
     return ledger
 
 
-def test_both_halves_dissipate_and_both_solvers_agree():
+def test_both_halves_of_a_step_dissipate_and_both_solvers_agree():
     runs = [turned(solver=solver) for solver in ("coupled", "split")]
     for run in runs:
         assert_damage(run)
@@ -170,7 +170,7 @@ def test_energy_released_by_the_volumes_of_a_growing_damage_is_counted():
     assert grow._held.released() >= 0 and ledger.column("bregman_damage")[-1] > 0
 
 
-def test_a_run_that_breaks_goes_on_from_its_checkpoint(tmp_path):
+def test_a_run_of_breaking_bodies_is_resumed_from_its_checkpoint(tmp_path):
     whole, first = turned(), turned(observers=[nv.Checkpoints(tmp_path / "run.h5")])
     whole.run(0.06)
     first.run(0.04)
@@ -194,7 +194,7 @@ def test_a_run_that_breaks_goes_on_from_its_checkpoint(tmp_path):
         ),
     ],
 )
-def test_laws_that_do_not_go_with_damage_of_a_body_are_refused_by_name(law, match):
+def test_laws_that_damage_of_a_body_does_not_support_are_refused_by_name(law, match):
     with pytest.raises(nv.ParameterError, match=match):
         nv.Model(bodies=bodies(law))
 

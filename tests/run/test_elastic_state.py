@@ -85,7 +85,7 @@ OPEN = {
 
 
 @pytest.mark.parametrize("name", OPEN)
-def test_an_open_elastic_state_is_B_for_constants_in_cells(name):
+def test_the_default_elastic_state_is_B_for_constants_in_cells_and_F_for_higher_orders(name):
     model = nv.Model(material=OPEN[name](), viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1))
     for m, state in ((0, "B"), (1, "F"), (2, "F")):
         given = OPEN[name](elastic_state=state)
@@ -113,7 +113,7 @@ def small(m, material=None, **options):
     return nv.Simulation(mesh, nv.Model(material=material), **given)
 
 
-def test_a_run_keeps_its_choice_over_checkpoints_and_other_orders(tmp_path):
+def test_a_run_keeps_its_elastic_state_over_checkpoints_and_other_orders(tmp_path):
     first = small(0, observers=[nv.Checkpoints(tmp_path / "run.h5", every=1)])
     first.run(0.2)
     assert names(first.model.material) == names(first.rothe_step.model.material) == ["B", "J"]
@@ -167,7 +167,7 @@ def under_a_lid(state):
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_run_that_winds_up_warns_once_and_ends_by_name_with_the_remedy():
+def test_a_run_in_which_F_winds_up_warns_once_and_ends_with_a_remedy_in_the_message():
     """A run warns from 1 % in the mean square on; it ends if the mean in a cell is off by more than 10 %."""
     run = under_a_lid("F")
     run.stepper.halvings = 0
@@ -249,7 +249,7 @@ def test_with_B_the_kinetic_energy_of_a_wave_never_exceeds_its_start_value(state
     assert drift(run) < 0.01
 
 
-def test_an_energy_continued_below_J_of_zero_has_no_drift():
+def test_an_energy_continued_below_J_of_zero_has_no_drift_of_F_from_J():
     """If the energy is continued beyond J = 0, there is no J to compare with."""
     z = {v.name: v.from_distortion(nv.physics.tensors.IDENTITY) for v in (Distortion(), Jacobian())}
     plain = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F")

@@ -137,7 +137,7 @@ def test_the_error_estimate_counts_evolving_unknowns():
     assert estimates[-1] == pytest.approx((RATE * 0.05) ** 2 / 3, rel=1e-8)
 
 
-def test_restart_is_bitwise(tmp_path):
+def test_a_resumed_run_equals_the_uninterrupted_run_bit_for_bit(tmp_path):
     options = {
         "theta": exp(x) * y,
         "scheme": "midpoint",

@@ -87,7 +87,7 @@ def relaxing(heat_capacity, theta_R=293.0):
     )
 
 
-def test_a_strip_with_heat_and_hardly_any_inertia_relaxes():
+def test_a_strip_with_heat_and_hardly_any_inertia_relaxes_in_spite_of_rounding():
     """While the velocity goes to zero, rounding of the heat moves the strip by more than the tolerance, but
     by less than 1e-10 of a cell in a step."""
     run = relaxing(1e3)

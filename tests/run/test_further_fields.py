@@ -35,7 +35,7 @@ def at(run, name):
 
 
 @pytest.mark.parametrize("equal", [(2, 2, 2), (3, 1, 1), (3, 3, 1), (0, 0, 0), (1e6, 1e6, 1e6 + 1)])
-def test_equal_eigenvalues_are_found(equal):
+def test_eigenvalues_are_right_also_if_they_are_equal(equal):
     Q = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
     A = Q @ np.diag(np.array(equal, dtype=float)) @ Q.T
     found = value(eigenvalues(tensor(0.5 * (A + A.T))))
@@ -60,7 +60,7 @@ def test_principal_stretches_are_the_singular_values_of_F(name):
     assert at(run, "principal_stresses") == pytest.approx(np.linalg.eigvalsh(T)[::-1], abs=1e-10)
 
 
-def test_principal_stretches_exist_by_E_and_not_for_fluids():
+def test_principal_stretches_exist_for_small_strains_and_not_for_fluids():
     stretch = sqrtm(F_0 @ F_0.T).real
     run = simulation(nv.LinearElastic(K_e=2.0, G_e=1.0), F=CF(tuple(stretch.ravel()), dims=(3, 3)))
     assert at(run, "principal_stretches") == pytest.approx(np.linalg.eigvalsh(stretch)[::-1], rel=1e-10)
@@ -100,7 +100,7 @@ def test_a_model_has_no_fields_of_quantities_that_it_lacks():
     assert at(simulation(nv.BarotropicFluid(B=1.0, gamma=1.4)), "principal_stresses") == pytest.approx(-0.4)
 
 
-def test_a_series_has_derived_fields_only_on_request(tmp_path):
+def test_a_vtk_series_has_derived_fields_only_on_request(tmp_path):
     run = simulation(MATERIALS["F"], viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1), passive=["F_tot"])
     asked = ["mandel_stress", "viscous_stress", "principal_stretches", "F_tot"]
     for names, folder in ((None, "usual"), (asked, "asked")):

@@ -205,7 +205,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("name", BROKEN)
-def test_a_wrong_entry_opens_the_ledger(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_ledger_does_not_close_with_a_wrong_entry(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """A negative control: the ledger closes to rounding only if every entry has the right factor."""
     term, factor = BROKEN[name]
     method = "distance" if name in NUMERICAL else "entries"
@@ -280,7 +280,7 @@ def test_jacobian_defect_is_the_norm_of_J_minus_det_F() -> None:
     assert row["J_min"] == pytest.approx(1.1**3 + 0.2)
 
 
-def test_linearised_material_has_no_jacobian() -> None:
+def test_the_jacobian_columns_of_a_linearised_material_are_nan() -> None:
     run = nv.Simulation(box((1, 1), 0.7), nv.Model(material=Case(material="linear").model.material), dt=0.1)
     row = run.ledger.start(0.0)
     assert np.isnan(row["J_min"]) and np.isnan(row["J_defect"])

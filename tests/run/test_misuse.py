@@ -318,7 +318,7 @@ class Meddler(nv.Observer):
         simulation.t = 0.5
 
 
-def test_an_observer_does_not_set_the_time(mesh):
+def test_an_observer_cannot_set_the_time(mesh):
     run = simulation(mesh, Meddler())
     with pytest.raises(nv.ParameterError, match=r"Simulation\.t = 0\.5: expected no assignment"):
         run.run(2 * DT)
@@ -337,7 +337,7 @@ def test_a_mesh_refined_during_a_run_ends_the_run():
         run.run(2 * DT)
 
 
-def test_a_plane_mesh_has_no_section(mesh, tmp_path):
+def test_a_section_of_a_plane_mesh_is_refused(mesh, tmp_path):
     run = simulation(mesh, nv.VTKSeries(tmp_path / "vtk"))
     run.run(DT)
     with pytest.raises(nv.ParameterError, match="section = 'x': expected no section"):

@@ -128,7 +128,7 @@ def test_momentum_is_lost_without_the_balance_of_inertia(monkeypatch):
     assert thrown("quadratic", solver="coupled")[1] > 1e-9
 
 
-def test_a_nonquadratic_energy_loses_momentum_without_its_facet_correction(monkeypatch):
+def test_momentum_is_lost_with_a_nonquadratic_energy_without_its_facet_correction(monkeypatch):
     """A negative control, in which the ledger closes."""
     monkeypatch.setattr(TangentForce, "excess", lambda self, u: 0.0 * u.parts[TangentGap.name])
     assert thrown("neo-Hookean, B", solver="coupled")[1] > 1e-7

@@ -204,7 +204,7 @@ def test_momentum_created_at_a_jump_is_a_defect_in_the_ledger():
     assert ledger.column("momentum_defect_relative")[-1] == pytest.approx(total / moving, rel=1e-6, abs=1e-14)
 
 
-def test_a_lost_momentum_is_warned_of_once_and_by_name():
+def test_a_loss_of_momentum_is_warned_of_once_with_its_cause():
     run = run_between(WALLS["slip"])
     ledger = run.run(until=0.05)
     row = ledger.rows[-1] | {"momentum_defect_relative": 2 * LOST, "defect_inertia_1": 1.0}
@@ -214,7 +214,7 @@ def test_a_lost_momentum_is_warned_of_once_and_by_name():
         ledger.momentum.check(row)  # the second call warns of nothing, so that pytest.warns fails
 
 
-def test_columns_go_to_files_with_units_and_a_resumed_run_goes_on(tmp_path):
+def test_columns_are_written_with_units_and_continued_by_a_resumed_run(tmp_path):
     path = tmp_path / "run.h5"
     whole = run_between(WALLS["slip"], observers=[nv.Checkpoints(path, every=1, keep=9)])
     whole.run(until=0.15)

@@ -243,7 +243,7 @@ WRONG = {
 
 
 @pytest.mark.filterwarnings("ignore::ngvisco.DefectWarning")
-def test_a_network_goes_on_over_meshes_that_follow_a_field():
+def test_a_network_keeps_its_variables_over_meshes_that_follow_a_field():
     """Every branch keeps its tensors and its hardening from one mesh to the next."""
     start = simulation(network(RULES["linear hardening"], 3), solver="split")
     followed = nv.Refinement(field="plastic_strain_slow", above=0.3, every=0.1)
@@ -265,7 +265,7 @@ def test_an_invalid_network_is_refused(name):
         Network(branches=branches)
 
 
-def test_laws_that_do_not_go_with_a_network_are_refused():
+def test_laws_that_a_network_does_not_support_are_refused():
     with pytest.raises(nv.ParameterError, match="whose branches have flow rules"):
         nv.Model(material=network(None), creep=nv.Creep(G_m=1.0))
     with pytest.raises(nv.ParameterError, match=r"LinearElastic\.K_e = 0\.0: expected a number > 0"):
@@ -339,7 +339,7 @@ def test_a_network_and_one_body_of_this_network_agree():
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_gradients_have_the_parameters_of_branches():
+def test_derivatives_by_parameters_of_branches_equal_differences():
     """Exact derivatives by a branch's moduli are those of central differences."""
     parts = {
         "spring": SPRING,

@@ -85,7 +85,7 @@ def test_a_step_beyond_the_domain_is_refused_by_its_name(solver):
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_a_coupled_step_at_a_bound_is_refused_after_few_iterations():
+def test_a_coupled_step_that_reaches_a_bound_is_refused_after_few_iterations():
     """Steps of growing length end as soon as the remaining lengths cannot reach the whole step."""
     run = sheared(nv.FENEP(K_e=10, G_e=5, b=5), 4.0, "coupled", creep=None, halvings=0)
     run.advance()

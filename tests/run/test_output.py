@@ -56,7 +56,7 @@ def two_bodies(maxh=0.3, **options):
     return nv.Simulation(box((1, 1), maxh), nv.Model(bodies=[fluid, disc]), dt=0.02, **options)
 
 
-def test_stresses_of_bodies_are_written_in_less_time_than_a_step_takes_and_with_outlines(tmp_path):
+def test_writing_stresses_and_outlines_of_bodies_takes_less_time_than_a_step(tmp_path):
     """In an earlier version, which evaluated each part of the pressure again for each use, writing a stress
     took as long as sixty steps."""
     run = two_bodies()
@@ -128,7 +128,7 @@ def test_vtk_series_holds_the_fields_with_labelled_components(tmp_path):
     assert arrays["von_mises"][0][:, 0] == pytest.approx(mises, rel=1e-9)
 
 
-def test_csv_has_a_row_a_step_under_the_agreed_names(tmp_path):
+def test_the_csv_file_has_a_row_for_each_step_and_the_agreed_column_names(tmp_path):
     run = small_run([nv.LedgerCSV(tmp_path / "ledger.csv")])
     with (tmp_path / "ledger.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))

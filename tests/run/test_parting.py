@@ -75,7 +75,7 @@ def test_both_solvers_agree_and_the_ledger_closes_where_bodies_part(name):
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_a_run_goes_on_to_the_bit(tmp_path):
+def test_a_resumed_run_equals_the_uninterrupted_run_bit_for_bit(tmp_path):
     """The normals follow from the state at the start of a step, so that a resumed run computes the same
     normals."""
     assert_goes_on(pulled, tmp_path / "run.h5", 0.4, 2)
@@ -110,7 +110,7 @@ def test_a_body_that_meets_nothing_more_compressible_is_refused(bulk):
         nv.Simulation(box((1, 1), 0.5), nv.Model(bodies=bodies), dt=0.1)
 
 
-def test_a_fluid_that_parts_is_refused():
+def test_the_option_parts_is_refused_for_a_fluid():
     bodies = [
         nv.Body(name="water", where=0.4 - y, material=gas(2.0), density=1.0, parts=True),
         nv.Body(name="gas", material=gas(1e-3), density=1.0),

@@ -51,7 +51,7 @@ def test_constants_in_cells_stay_positive_definite_in_steps_within_the_proof(bra
     assert ledger.column("limited_cells").max() == 0
 
 
-def test_an_indefinite_mean_is_refused_and_an_indefinite_point_limited_by_branch():
+def test_an_indefinite_mean_of_a_branch_is_refused_and_indefinite_points_are_limited():
     """Two eigenvalues of B are negative, while det B is positive."""
     step = stirred({"chains": CHAINS, "spring": SPRING}, 1, dt=0.1).ledger.step
     bounds, states = Bounds(step, Sampler(step.mesh, step.quadrature)), step.layout.states

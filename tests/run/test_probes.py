@@ -34,7 +34,7 @@ def test_probes_and_lines_have_the_fields_values():
     assert line.column("s")[-1] == 1
 
 
-def test_points_on_straight_and_curved_walls_count():
+def test_probes_on_straight_and_curved_walls_have_values():
     angles = np.linspace(0, 6, 9)
     probes = nv.Probes([(math.cos(a), math.sin(a)) for a in angles], ["J"])
     model = nv.Model(material=MATERIAL)

@@ -23,7 +23,7 @@ def simulation(observers=()):
     return small_run(1, loads=[nv.Gravity((0, -1))], observers=observers)
 
 
-def test_record_leaves_files_and_pictures_and_the_observers_as_they_were(tmp_path, capsys):
+def test_record_writes_files_and_pictures_and_does_not_change_the_observers(tmp_path, capsys):
     counter = Counter()
     run = simulation([counter])
     show = {"speed, m/s": "sqrt(velocity_1**2 + velocity_2**2)", "J less 1": "J - 1"}

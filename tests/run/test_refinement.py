@@ -37,7 +37,7 @@ def bodies(*observers):
 
 
 @pytest.mark.parametrize("solver", [by_ci("split"), "coupled"])
-def test_a_pulse_is_followed(solver):
+def test_the_mesh_follows_a_pulse(solver):
     cells = Cells()
     start = pulse(cells, solver=solver)
     run = nv.run_refined(start, nv.Refinement(field="pressure", above=0.05, levels=1, every=0.2), 0.8)
@@ -69,7 +69,7 @@ def test_bodies_keep_their_masses_and_tables_continue_over_refinement(tmp_path):
 
 
 @pytest.mark.parametrize("interrupted", [by_ci(0.04), by_ci(0.12)])
-def test_a_run_goes_on_from_a_checkpoint_to_the_bit(tmp_path, interrupted):
+def test_a_run_resumed_from_a_checkpoint_equals_the_uninterrupted_run_bit_for_bit(tmp_path, interrupted):
     refinement = nv.Refinement(field="disc_fraction", every=0.06)
     whole = nv.run_refined(bodies(nv.Checkpoints(tmp_path / "whole.h5")), refinement, 0.16)
     half = nv.run_refined(bodies(nv.Checkpoints(tmp_path / "half.h5")), refinement, interrupted)
@@ -85,7 +85,7 @@ def test_a_run_goes_on_from_a_checkpoint_to_the_bit(tmp_path, interrupted):
         assert np.array_equal(later.ledger.column(name), whole.ledger.column(name)), name
 
 
-def test_a_run_under_way_is_refused():
+def test_a_run_that_has_made_steps_is_refused():
     refinement = nv.Refinement(field="J", every=0.04)
     begun = bodies()
     begun.run(0.02)
@@ -127,7 +127,7 @@ def test_the_displacement_of_a_wall_on_springs_is_carried_over(dim):
 @pytest.mark.parametrize(
     ("size", "periodic"), [((1, 1), "x"), by_ci((1, 1), "xy"), by_ci((0.5, 0.5, 0.5), "x")]
 )
-def test_identified_walls_are_divided_alike(size, periodic):
+def test_both_of_two_identified_walls_are_divided_in_the_same_way(size, periodic):
     """A disc, or a ball, is carried through identified walls."""
     dim, length = len(size), size[0]
     what = {"material": FLUID, "viscosity": nv.StokesViscosity(K_v=0.1, G_v=0.1)}

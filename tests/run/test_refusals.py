@@ -297,7 +297,7 @@ Where(_) | PAIR | Where.function | scalar
 
 
 @pytest.mark.parametrize(("make", "value", "field", "expected"), rows(LISTS))
-def test_bad_list_is_named(make, value, field, expected):
+def test_a_bad_list_is_refused_with_the_name_of_its_argument(make, value, field, expected):
     with pytest.raises(nv.ParameterError) as error:
         made(make, eval(value, names()))
     assert error.value.field == field and expected in error.value.expected
@@ -462,11 +462,11 @@ check_convexity(LINEAR, dim=np.int64(2), spread=np.float32(0.3), seed=np.int64(1
 
 @pytest.mark.filterwarnings("ignore:the matrix subclass:PendingDeprecationWarning")
 @pytest.mark.parametrize("text", NUMPY.splitlines())
-def test_numbers_and_arrays_of_numpy_are_taken(text):
+def test_numbers_and_arrays_of_numpy_are_accepted(text):
     eval(text, names())
 
 
-def test_unknown_names_are_said_with_the_known_ones_or_the_nearest():
+def test_unknown_names_are_refused_with_the_known_names_or_the_nearest_name():
     with pytest.raises(nv.UnknownNameError, match=r"unknown material variable 'E' \(known: F, J\)") as error:
         start(values={"E": Id(3)})
     assert isinstance(error.value, KeyError)
@@ -479,7 +479,7 @@ def test_a_load_with_the_name_of_an_earlier_one_is_named():
         nv.Model(material=LINEAR, loads=[nv.Gravity((0, 1)), nv.Gravity((1, 0))])
 
 
-def test_until_may_miss_a_multiple_by_rounding():
+def test_the_end_time_may_miss_a_multiple_of_the_step_by_rounding():
     """In floating point 0.1 * 3 is not 0.3, but it is three steps."""
     ledger = simulation(ELASTIC).run(until=0.1 * 3)
     assert len(ledger.rows) == 4 and ledger.rows[-1]["time"] == 3 * 0.1

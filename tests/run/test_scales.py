@@ -135,7 +135,7 @@ def test_advice_warns_of_steps_that_are_hard_to_solve():
     assert "different bulk energies" in unlike and "K_e/2*(J - 1)*(J - 1)/J" in unlike
 
 
-def test_cells_with_k_2_lock_in_slow_flows_whose_pressure_waves_are_not_followed():
+def test_advice_names_locking_with_k_2_if_a_slow_flow_s_steps_do_not_resolve_sound():
     """The stress of a flow is rho v^2, or the viscous stress if that is larger."""
     slow = {"length": 1.0, "cell": 0.1, "velocity": 1.0, "speeds": (25.0, 0.0), "kinematic_viscosity": 0.1}
     slow |= {"maxwell": math.inf, "dt": 0.05}
@@ -151,7 +151,7 @@ def test_cells_with_k_2_lock_in_slow_flows_whose_pressure_waves_are_not_followed
         assert not any("lock" in line for line in lines)
 
 
-def test_sharp_interfaces_need_steps_within_a_cell():
+def test_advice_for_sharp_interfaces_limits_the_step_to_the_crossing_of_a_cell():
     values = {"length": 1.0, "cell": 0.1, "velocity": 1.0, "speeds": (0.0, 0.0), "kinematic_viscosity": 0.0}
     values |= {"maxwell": math.inf}
     assert Scales(**values, dt=0.08).advice == Scales(**values, dt=0.06, is_sharp=True).advice == []
@@ -284,7 +284,7 @@ def test_scales_are_the_extremes_over_bodies():
         assert run.velocity_scale == pytest.approx(0.1 * here.speeds[0], rel=1e-5)
 
 
-def test_at_rest_rounding_of_the_energy_is_no_elastic_release():
+def test_advice_does_not_take_rounding_of_the_energy_at_rest_for_an_elastic_release():
     """K/2 (J - 1)^2 is rounded to 1e-15 K, the kinetic energy of a velocity of 1e-8 c."""
     for size in ((1, 1), (1, 1, 1)):
         run = small_run(box(size, 0.8), 0.01)
@@ -401,7 +401,7 @@ def test_the_ledger_of_a_turned_body_at_rest_closes():
     require_rest(run_of(viscosity=None, F=turned))
 
 
-def test_a_wrong_dissipation_at_small_strains_opens_the_ledger(monkeypatch):
+def test_the_ledger_does_not_close_with_a_wrong_dissipation_at_small_strains(monkeypatch):
     """A negative control: a wrong dissipation at strains of 1e-5 opens the ledger of the same body."""
     wrong = Stokes.entries
 
@@ -416,7 +416,7 @@ def test_a_wrong_dissipation_at_small_strains_opens_the_ledger(monkeypatch):
         run_of(velocity=swirl).advance()
 
 
-def test_the_energy_of_a_body_at_rest_is_below_its_rounding():
+def test_the_energy_of_a_body_at_rest_is_below_the_estimate_of_its_rounding():
     """The closure of such a body is therefore not measured by its energy."""
     run = run_of()
     run.run(0.2)

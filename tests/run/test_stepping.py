@@ -240,7 +240,7 @@ def test_adaptive_steps_use_the_other_solver(monkeypatch):
     assert run.run(2 * DT).column("rejections").tolist() == [0, 2, 0]
 
 
-def test_where_no_solver_solves_a_step_both_are_named(monkeypatch):
+def test_the_message_of_a_step_that_neither_solver_solves_names_both_solvers(monkeypatch):
     fails_above(monkeypatch, 0.0)
     monkeypatch.setattr(Newton, "solve", lambda *given: Solution(Status.STALLED, (), "no"))
     newton = nv.NewtonOptions(split=SplitOptions(chosen_from=(1, 1)))

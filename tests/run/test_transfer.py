@@ -26,7 +26,7 @@ def gap(a, b, name):
 P, Q = (part.ravel() for part in np.meshgrid(np.linspace(0.02, 0.98, 25), np.linspace(0.03, 0.97, 25)))
 
 
-def test_the_same_mesh_gives_the_same_state():
+def test_a_transfer_to_the_same_mesh_keeps_the_state():
     source = simulation(passive=["F_tot", "reference_map"])
     source.run(0.1)
     target = simulation(passive=["reference_map", "F_tot"])
@@ -41,7 +41,7 @@ def test_the_same_mesh_gives_the_same_state():
     assert again.column("step").tolist() == [0, 1, 2] and again.column("time")[-1] == pytest.approx(0.14)
 
 
-def test_another_mesh_keeps_the_mass_and_notes_the_lost_energy():
+def test_a_transfer_to_another_mesh_keeps_the_mass_and_records_the_lost_energy():
     source = simulation(0.3)
     source.run(0.1)
     lost = []
@@ -86,7 +86,7 @@ def amounts(run):
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_another_mesh_keeps_the_mass_of_each_body():
+def test_a_transfer_to_another_mesh_keeps_the_mass_of_each_body():
     """The density of a run with bodies is the sum over amounts times referential densities."""
     source = with_bodies()
     source.run(0.06)
@@ -105,7 +105,7 @@ def test_a_body_of_another_density_is_refused_by_its_name():
         nv.transfer(with_bodies(), with_bodies(density=3.0))
 
 
-def test_a_curved_domain_is_carried_over():
+def test_a_state_on_a_curved_domain_is_transferred():
     source = simulation(mesh=disc(1, 0.6), velocity=(-y, x))
     source.run(0.02)
     target = simulation(mesh=disc(1, 0.4))

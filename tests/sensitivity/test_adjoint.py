@@ -124,7 +124,7 @@ def curved(stiffness, **options):
         by_ci(curved, {"scheme": "midpoint"}, ("wall.force_1", "wall.torque")),
     ],
 )
-def test_forces_and_powers_of_walls_have_adjoints(make, options, columns):
+def test_adjoint_and_tangent_agree_for_forces_and_powers_of_walls(make, options, columns):
     given = {"observers": [nv.WallForces()]} | options
     numbers = [f"{name} {when}" for name in columns for when in ("at 0.06", "until 0.05")]
     name, value, h = "material.G_e", 5.0, 5e-3
@@ -171,7 +171,7 @@ def soft(change=0.0, scheme="midpoint", **options):
     return started(model, scheme=scheme, limiter=False, **options), tilt
 
 
-def test_a_field_has_a_density_of_derivatives():
+def test_derivatives_by_a_field_are_a_density_over_the_domain():
     numbers = {name: OF[name] for name in ("motion", "stress", "share")}
     simulation, tilt = soft()
     found = nv.gradient(simulation, UNTIL, of=numbers, method="adjoint")
@@ -209,7 +209,7 @@ def test_densities_of_derivatives_by_the_density_sum_to_the_derivative_by_a_numb
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_a_curved_wall_has_an_adjoint():
+def test_adjoint_and_tangent_agree_with_a_curved_wall():
     """The multipliers of the wall are unknowns of the system that gives the velocity from the momentum."""
     velocity = (-y * (1 - x * x - y * y) + 0.2 * y, x * (1 - x * x - y * y))
     given = dict(
@@ -255,7 +255,7 @@ def test_gradients_that_the_adjoint_does_not_support_are_refused(given, said):
         nv.gradient(run(), UNTIL, **{"of": ["kinetic at 0.06"], "by": list(AT), "method": "adjoint"} | given)
 
 
-def test_a_density_of_derivatives_needs_an_adjoint_and_a_scalar_field():
+def test_derivatives_by_a_field_require_the_adjoint_method_and_a_scalar_field():
     simulation, _ = soft()
     found = nv.gradient(simulation, UNTIL, of=["kinetic at 0.06"], by=["viscosity.G_v"])
     with pytest.raises(nv.ParameterError, match="method='adjoint'"):

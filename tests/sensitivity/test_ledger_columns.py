@@ -151,7 +151,7 @@ OPEN = (
         (between, (*WALLS, *OPEN), {}, 1e-3),
     ],
 )
-def test_impulses_of_walls_have_adjoints(make, columns, options, least):
+def test_adjoint_and_tangent_agree_for_impulses_of_walls(make, columns, options, least):
     """The walls have multipliers, or move, or matter crosses them, with springs and friction."""
     numbers = of(columns)
     given = {"of": numbers, "by": ["material.G_e"]}
@@ -164,7 +164,7 @@ def test_impulses_of_walls_have_adjoints(make, columns, options, least):
     assert (abs(adjoint - tangent) / sizes).max() < 1e-6
 
 
-def test_the_slope_of_a_distance_without_one_of_its_states_is_wrong(monkeypatch):
+def test_the_slope_of_a_bregman_distance_without_one_of_its_states_is_wrong(monkeypatch):
     """A negative control: only one of the states of B(a, b) changes."""
     numbers = of(("inertial", "bregman"))
     whole = DistanceSlopes.__call__

@@ -51,7 +51,7 @@ MEASURES = {
 
 
 @pytest.mark.parametrize("name", MEASURES)
-def test_slopes_are_limits_of_differences(name):
+def test_slopes_of_measures_are_limits_of_differences(name):
     outline, measure = slopes_of(THETA), MEASURES[name]
     own = getattr(outline, name, None)
     by_theta, by_v = outline.deformation(name) if own is None else own()
@@ -63,7 +63,7 @@ def test_slopes_are_limits_of_differences(name):
     assert found == pytest.approx((up - down) / (2 * h), rel=1e-6)
 
 
-def test_the_gap_has_slopes_by_both_outlines():
+def test_the_gap_has_slopes_with_respect_to_both_outlines():
     random, h = np.random.default_rng(2), 1e-6
     changes = [random.standard_normal(len(POINTS)) for _ in range(2)]
     fields = (THETA, OTHER)

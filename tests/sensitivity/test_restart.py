@@ -171,7 +171,7 @@ def test_a_folder_identifies_functions_by_their_values():
     assert signature(Path("a.stl"), sampler) != signature(Path("b.stl"), sampler)
 
 
-def test_the_folder_of_other_derivatives_or_a_damaged_one_is_refused(tmp_path):
+def test_a_damaged_folder_and_a_folder_of_other_derivatives_are_refused(tmp_path):
     first = run()
     first.observers.append(StopsAt(2))
     with pytest.raises(nv.StopRequested):

@@ -76,7 +76,7 @@ def test_a_tangent_without_the_old_state_is_wrong(monkeypatch):
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_walls_that_move_have_derivatives():
+def test_derivatives_by_the_velocity_of_a_wall_equal_differences():
     mesh, walls = box((1, 1), maxh=0.5), {"bottom": nv.NoSlip()}
 
     def at(speed):
@@ -117,7 +117,7 @@ def test_derivatives_that_do_not_exist_are_refused(of, by, said):
         nv.gradient(run(), UNTIL, of=of, by=by)
 
 
-def test_a_run_that_has_begun_keeps_its_state():
+def test_a_gradient_does_not_change_the_state_of_a_run_that_has_begun():
     simulation = run()
     simulation.run(0.02)
     with pytest.raises(nv.ParameterError, match="no start values"):

@@ -140,7 +140,7 @@ FLAT = np.array([[_A, _B, _C], [_A, _C, _D], [_A, _D, _B], [_B, _D, _C]], dtype=
         (ascii_stl(FLAT), "encloses a volume"),
     ],
 )
-def test_surface_that_is_not_closed_empty_or_broken_is_refused(tmp_path, content, expected):
+def test_an_open_empty_or_broken_surface_is_refused(tmp_path, content, expected):
     path = tmp_path / "part.stl"
     path.write_bytes(content)
     with pytest.raises(ParameterError, match=expected) as caught:
@@ -148,7 +148,7 @@ def test_surface_that_is_not_closed_empty_or_broken_is_refused(tmp_path, content
     assert caught.value.field == "ClosedSurface.path"
 
 
-def test_surface_that_is_missing_or_in_a_mesh_of_the_plane_is_refused(tmp_path):
+def test_a_missing_surface_and_a_surface_in_a_plane_mesh_are_refused(tmp_path):
     with pytest.raises(ParameterError, match="readable file"):
         ClosedSurface(tmp_path / "none.stl")
     path = tmp_path / "cube.stl"
@@ -164,7 +164,7 @@ def picture(path, pixels):
     return path
 
 
-def test_picture_is_a_shape_where_it_is_dark(tmp_path):
+def test_a_picture_gives_the_shape_of_its_dark_part(tmp_path):
     X, Y = np.meshgrid((np.arange(200) + 0.5) / 200, (199.5 - np.arange(200)) / 200)
     # the disc is above the middle, since the first row is the highest one
     dark = (X - 0.5) ** 2 + (Y - 0.7) ** 2 < 0.04

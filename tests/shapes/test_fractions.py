@@ -60,7 +60,7 @@ def test_shapes_are_united_cut_and_complemented():
         assert volumes(mesh, [shape])[0] == pytest.approx(exact, abs=1e-5)
 
 
-def test_a_function_is_a_shape_where_it_is_positive():
+def test_a_function_gives_the_shape_where_it_is_positive():
     mesh = box((1, 1), maxh=0.2)
     smooth = volumes(mesh, [Where(0.09 - (x - 0.5) ** 2 - (y - 0.5) ** 2)])[0]
     jumping = volumes(mesh, [Where(IfPos(0.09 - (x - 0.5) ** 2 - (y - 0.5) ** 2, 1, 0))])[0]
@@ -68,7 +68,7 @@ def test_a_function_is_a_shape_where_it_is_positive():
     assert jumping == pytest.approx(0.09 * pi, rel=1e-2)
 
 
-def test_polygon_that_is_not_convex_has_its_area_in_either_sense():
+def test_a_polygon_that_is_not_convex_has_its_area_in_either_orientation():
     mesh = box((1, 1), maxh=0.1)
     points = ((0.1, 0.1), (0.9, 0.1), (0.9, 0.9), (0.5, 0.3), (0.1, 0.9))
 

@@ -58,7 +58,7 @@ def test_a_cell_is_inverted_branch_by_branch():
     assert empty(dz[:0]).shape == (0, *dz.shape[1:])
 
 
-def test_branches_that_feel_each_other_are_inverted_together():
+def test_branches_that_act_on_each_other_are_inverted_together():
     run, _, _, operator = evaluated(network())
     points, cells = operator.points, slice(0, run.mesh.ne)
     points.rate_slope[0, 0, -2] = 1e-3  # a rate of the first branch depends on the last one

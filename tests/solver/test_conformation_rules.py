@@ -33,7 +33,7 @@ def test_ledger_closes_and_power_is_not_negative(name, chains):
 
 
 @pytest.mark.parametrize("setting", [by_ci(SETTINGS[0]), SETTINGS[1], by_ci(SETTINGS[2])], ids=str)
-def test_branches_of_different_laws_are_one_fluid(setting):
+def test_branches_of_different_laws_make_one_fluid(setting):
     solver, dim, scheme = setting
     parts = {
         f"mode_{i}": nv.Branch(material=CHAINS["Hooke"], creep=OF_CONFORMATION[name])
@@ -95,7 +95,7 @@ STEADY = {
 
 
 @pytest.mark.parametrize("name", others_by_ci(STEADY, "Giesekus, alpha = 0.4", "linear PTT", "Saramito"))
-def test_steady_shear_is_that_of_the_literature(name):
+def test_stresses_in_steady_shear_equal_those_of_the_literature(name):
     rule, Wi, expected = STEADY[name]
     found = steady(rule, Wi)
     assert np.allclose(found, expected, rtol=1e-5, atol=1e-6), (found, expected)

@@ -229,7 +229,7 @@ def solved(*terms, until=0.06, **options):
 @pytest.mark.parametrize(
     ("term", "scheme"), [(Drag(8.0), "midpoint"), by_ci(DragByForms(8.0), "backward-euler")]
 )
-def test_a_term_of_the_users_acts_in_both_solvers(term, scheme):
+def test_a_user_s_term_acts_in_both_solvers(term, scheme):
     free = simulation(scheme=scheme, solver="split").run(0.06)
     for ledger in solved(term, scheme=scheme):
         (name,) = (name for name in ledger.columns if name.startswith("dissipation_drag"))
@@ -240,7 +240,7 @@ def test_a_term_of_the_users_acts_in_both_solvers(term, scheme):
 # the drag is relative to a moving net, which may give energy
 @pytest.mark.filterwarnings("ignore::ngvisco.run.signs.DissipationWarning")
 @pytest.mark.parametrize("term", [Leak(0.5), GrowthOfPlaceAndTime(0.5)], ids=lambda term: type(term).__name__)
-def test_rows_of_the_density_and_on_facets_act_in_both_solvers(term):
+def test_terms_in_rows_of_the_density_and_on_facets_act_in_both_solvers(term):
     for ledger in solved(term):
         mass = ledger.column("mass")
         assert abs(mass[-1] / mass[0] - 1) > 1e-2
@@ -285,7 +285,7 @@ def test_the_split_solver_refuses_a_hyperviscosity_that_arrays_cannot_evaluate()
     assert type(auto.solver.newton).__name__ == "Newton"
 
 
-def test_auto_takes_the_split_solver_with_a_term_that_it_can_take():
+def test_auto_chooses_the_split_solver_if_it_can_evaluate_the_user_s_term():
     assert type(simulation([Drag(1.0)], maxh=0.15).solver.newton).__name__ == "Split"
     assert type(simulation([GrowthByForms(1.0)], maxh=0.15).solver.newton).__name__ == "Newton"
 

@@ -50,11 +50,11 @@ def applied(run, changed=lambda tangent: None):
 
 
 @pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.long)])
-def test_facet_blocks_are_the_derivative(dim):
+def test_facet_blocks_equal_the_derivative_of_the_rows(dim):
     found, expected = applied(of_solute(dim))
     assert np.linalg.norm(found - expected) <= 1e-12 * np.linalg.norm(expected)
 
 
-def test_blocks_without_the_last_facet_mean_are_not_the_derivative():
+def test_facet_blocks_without_the_last_facet_mean_differ_from_the_derivative():
     found, expected = applied(of_solute(2), lambda tangent: tangent.means.pop())
     assert np.linalg.norm(found - expected) > 0.1 * np.linalg.norm(expected)

@@ -138,7 +138,7 @@ def test_both_solvers_agree_in_three_dimensions(material):
     assert_both_agree(box((1, 1, 1), maxh=1), model(material, dim=3), steps=1)
 
 
-def test_both_solvers_agree_by_left_cauchy_green_with_a_creep_rate_field():
+def test_both_solvers_agree_with_left_cauchy_green_tensors_and_a_creep_rate_field():
     assert_both_agree(box((1, 1), maxh=0.5), model(BY_B, creep=nv.Creep(G_m=2.0, nu=1e-3, q=4)))
 
 
@@ -247,7 +247,7 @@ def test_both_solvers_agree_on_a_curved_wall():
         "both",
     ],
 )
-def test_both_solvers_agree_with_two_levels_and_unknowns_beside_the_velocity(beside):
+def test_both_solvers_agree_if_two_levels_have_unknowns_beside_the_velocity(beside):
     mesh = box((1, 1), maxh=0.3) if beside == "a creep rate field" else disc(1.0, maxh=0.5)
     parts = {} if beside == "the stress of a curved wall" else PARTS["a creep rate field"]
     # with default options one of these steps is taken in halves; here Newton-Krylov begins farther from the

@@ -80,24 +80,24 @@ def assert_is_the_derivative(run, bound=1e-8):
 
 
 @pytest.mark.parametrize("name", [by_ci(n) if n in ("r = 3", "p = 2") else n for n in MECHANISMS])
-def test_derivatives_equal_differences_of_every_mechanism(name):
+def test_derivatives_equal_differences_for_every_mechanism(name):
     # where grad rho is small, a power of 1/2 is not smooth enough for differences
     assert_is_the_derivative(simulation(**MECHANISMS[name]), bound=1e-6 if name == "r = 3" else 1e-8)
 
 
 @pytest.mark.parametrize("name", ALL_BY_CI)
-def test_derivatives_equal_differences_of_every_material(name):
+def test_derivatives_equal_differences_for_every_material(name):
     assert_is_the_derivative(simulation(material=EXAMPLES[name]))
 
 
 @pytest.mark.parametrize("law", ["conformation", "leonov"])
-def test_derivatives_equal_differences_of_laws_of_creep(law):
+def test_derivatives_equal_differences_for_laws_of_creep(law):
     creep = nv.Creep(G_m=2.0, law=law)
     assert_is_the_derivative(simulation(material=EXAMPLES["FENEP"], creep=creep))
 
 
 @pytest.mark.parametrize("kind", ["by its response", "by an expression"])
-def test_derivatives_equal_differences_of_energies_without_arrays(kind, monkeypatch):
+def test_derivatives_equal_differences_for_energies_without_arrays(kind, monkeypatch):
     material = EXAMPLES["NeoHookean"]
     if kind == "by its response":
         material = nv.Yosida(material=material, eps=1e-3)
@@ -111,7 +111,7 @@ def test_derivatives_equal_differences_in_three_dimensions():
 
 
 @pytest.mark.parametrize(("k", "m"), [(2, 0), (3, 1), (2, 2)])
-def test_derivatives_equal_differences_of_other_orders(k, m):
+def test_derivatives_equal_differences_for_other_orders(k, m):
     assert_is_the_derivative(simulation(discretisation=nv.Discretisation(k=k, m=m)))
 
 

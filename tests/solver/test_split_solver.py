@@ -58,7 +58,7 @@ def first_step(run):
 
 @pytest.mark.usefixtures("double_precision")
 @pytest.mark.parametrize(("k", "p"), [(2, 4.0), (3, 4.0), (2, 2.0), (2, 3.5)])
-def test_hyperviscosity_s_derivative_is_that_of_its_rows(k, p):
+def test_the_derivative_of_the_hyperviscosity_equals_differences_of_its_rows(k, p):
     """The derivative of the penalty is integrated by its own rule, which is not exact if this derivative is
     no polynomial."""
     run = simulation(hyperviscosity=nv.HyperViscosity(mu=1e-3, p=p), discretisation=nv.Discretisation(k=k))
@@ -314,7 +314,7 @@ def test_wall_stresses_add_few_iterations_to_two_levels():
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_sweeps_follow_the_courant_number_and_no_step_is_retried():
+def test_the_number_of_sweeps_grows_with_the_courant_number_and_no_step_is_retried():
     """At large Courant numbers increments need more than three sweeps of the transport, and solutions of the
     systems of the fields."""
     run = simulation(mesh=box((1, 1), maxh=0.2, periodic="x"), speed=300.0, dt=1e-3)

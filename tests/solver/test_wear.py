@@ -75,7 +75,7 @@ def test_a_slow_tangent_is_renewed_before_the_iteration_has_become_long():
     assert not wear.is_dear(1e6)
 
 
-def test_an_increment_by_a_worn_tangent_is_computed_anew_at_once(monkeypatch):
+def test_an_increment_by_a_worn_tangent_is_computed_again_before_the_next_residual(monkeypatch):
     """In this test every contraction counts as slow. If an increment shows that the tangent is worn, the
     tangent is renewed before another residual is computed. The contraction by the old tangent does not count
     for the new tangent."""

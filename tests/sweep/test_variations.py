@@ -29,7 +29,7 @@ def test_an_invalid_list_of_values_is_refused(text):
         Variation.parse(text)
 
 
-def test_all_combinations_are_made_the_last_key_first():
+def test_all_combinations_are_made_and_the_last_key_varies_fastest():
     found = combinations([Variation("material.G_e", ("1", "2")), Variation("time.dt", ("0.1", "0.2"))])
     assert [c.name for c in found][:2] == ["material.G_e=1,time.dt=0.1", "material.G_e=1,time.dt=0.2"]
     assert found[3].settings == ("material.G_e=2", "time.dt=0.2")

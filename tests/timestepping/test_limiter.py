@@ -91,7 +91,7 @@ def test_velocity_is_that_of_the_limited_density_and_momentum(scheme):
 
 
 @pytest.mark.parametrize("scheme", [by_ci("backward-euler"), "midpoint"])
-def test_energy_that_the_limiter_takes_through_walls_has_its_own_column(scheme):
+def test_energy_that_the_limiter_takes_at_walls_has_its_own_column(scheme):
     """The lid's power is that of the same step without a limiter, whose density is not limited."""
     runs = [cavity(scheme=scheme, mesh=coarse()) for _ in range(2)]
     for run in runs:
@@ -154,7 +154,7 @@ def squeezed(material, speed, dt):
 @pytest.mark.long
 # cells are a sixth of the box wide
 @pytest.mark.filterwarnings("ignore::ngvisco.run.signs.DissipationWarning")
-def test_J_of_a_fluid_passes_zero_by_its_motion_and_comes_back():
+def test_J_of_a_squeezed_fluid_passes_zero_only_if_the_energy_is_continued():
     """With J_min, J passes zero. Without J_min, the limiter keeps J of the same fluid above zero, or the run
     ends."""
     ledger = squeezed(nv.BarotropicFluid(B=0.1, gamma=1.4, J_min=0.3), 2.5, 0.05).run(6 * 0.05)

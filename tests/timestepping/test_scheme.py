@@ -44,7 +44,7 @@ def solve(f, start, s):
 @pytest.mark.parametrize(
     ("scheme", "order"), [*zip(ALL, (1, 2, 1, 2), strict=True), (THIRD, 3)], ids=lambda v: str(v)
 )
-def test_the_stated_order_is_that_of_the_tableau_and_of_runs(scheme, order):
+def test_the_stated_order_is_the_order_of_the_tableau_and_of_runs(scheme, order):
     """The equation u' = -u^2, u(0) = 1 has the solution u(t) = 1/(1 + t)."""
     assert scheme.order == order
     errors = []

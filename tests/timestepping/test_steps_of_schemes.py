@@ -84,7 +84,7 @@ OF_CI = {
         *(by_ci(options, id=name) for name, options in OF_CI.items()),
     ],
 )
-def test_a_run_goes_on_from_any_checkpoint_bit_for_bit(options, tmp_path):
+def test_a_run_is_resumed_from_any_checkpoint_bit_for_bit(options, tmp_path):
     make = partial(simulation, **options)
     # the checkpoints are after one and after two solved steps
     whole = assert_goes_on(make, tmp_path / "run.h5", 0.06, 1, 2)

@@ -22,7 +22,7 @@ def case(label, reason=""):
     return Case(name="a-case", statement="S", label=label, setting="S", bounds=bounds, run=list)
 
 
-def test_every_label_of_the_paper_is_there_once():
+def test_every_label_of_the_paper_is_in_the_table_once():
     assert len(labels()) == 215
     assert list(labels())[:2] == ["sec-linearized", "ZJ"] and list(labels())[-1] == "rem-neo-Hookean-ref"
 
@@ -58,7 +58,7 @@ def test_each_label_is_measured_or_has_a_reason_why_not():
     assert {row[3].split(":")[0].split(" ")[0] for row in table.rows} == {"cases", "tests", "with", "not"}
 
 
-def test_every_label_that_the_package_or_a_case_names_is_one_of_the_paper():
+def test_every_label_that_the_package_or_a_case_names_is_a_label_of_the_paper():
     """Sources name labels after "paper: "; cases name labels, and other references, between commas."""
     package = Path(ngvisco.__file__).parent
     unknown = set()
@@ -75,7 +75,7 @@ def test_every_label_that_the_package_or_a_case_names_is_one_of_the_paper():
                 assert part in labels(), (one.name, part)
 
 
-def test_a_part_of_a_label_is_not_found():
+def test_a_part_of_a_label_does_not_count_as_the_label():
     text = "Euler-small-est3+ and Euler-small-est1: Euler-small-viscoelastodyn+0disc. (ZJ), 1/J-continuity-eq"
     assert labels_in(text) == [
         "Euler-small-est3+",

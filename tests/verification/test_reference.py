@@ -76,7 +76,7 @@ def test_creeping_rock_in_si_units_keeps_its_ledger(kind: str) -> None:
     assert abs(ledger.column("mass_drift")).max() <= 1e-12
 
 
-def test_the_theory_of_necks_has_the_limits_that_are_known() -> None:
+def test_the_theory_of_necks_has_its_known_limits() -> None:
     """The limits are a thin layer without a medium, which does not neck for n = 1, and folds of stiff layers
     (Biot 1961)."""
     for n in (1.0, 3.0, 10.0):
@@ -87,7 +87,7 @@ def test_the_theory_of_necks_has_the_limits_that_are_known() -> None:
     assert max(rates) == pytest.approx((4 * ratio / 3) ** (2 / 3), rel=0.01)
 
 
-def test_radial_creep_has_the_closed_forms_of_the_linear_problem_and_the_flux_of_the_nonlinear_one():
+def test_the_reference_of_radial_creep_has_the_closed_form_if_linear_and_the_right_flux_if_not():
     """For q = 2 an eigenfunction of the Laplacian with zero slope at the wall is divided by G_m + nu k^2."""
     # the number is the first k > 0 with tan k = k
     for dim, k, f in ((2, jn_zeros(1, 1)[0], jv), (3, 4.493409457909064, spherical_jn)):

@@ -165,7 +165,7 @@ def test_beginnings_of_names_and_the_reduced_set_select_cases():
     assert [c.name for c in select(some, [], reduced=True)] == ["a-x"]
 
 
-def test_list_runs_nothing(cases, tmp_path, capsys, monkeypatch):
+def test_the_option_list_runs_no_case(cases, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     cases += [case("one", lambda: 1 / 0)]
     assert main(["--list"]) == DONE
@@ -217,7 +217,7 @@ def test_resume_runs_errors_and_changed_cases_again(cases, tmp_path):
     assert "≤ 0.75" in (tmp_path / "r" / "report.md").read_text()
 
 
-def test_a_result_is_equal_after_json():
+def test_a_result_is_unchanged_by_writing_and_reading_json():
     plot = Plot("p", "x", "y", [Curve("c", [1.0], [2.0])])
     outcome = collected([("a", math.inf), Table("t", ["x"], [[1.5], ["text"]]), plot, "said"])
     result = Result(name="n", fingerprint="f", version="1", status="fails", seconds=1.5, outcome=outcome)
@@ -225,7 +225,7 @@ def test_a_result_is_equal_after_json():
     assert again == result and again.outcome.plots[0].curves[0].y == [2.0]
 
 
-def test_rate_table_finds_its_rates_and_refuses_smaller_ones():
+def test_a_table_of_rates_computes_its_rates_and_refuses_smaller_ones():
     table = RateTable("r", "h", [1.0, 0.5, 0.25], {"a": [1.0, 0.25, 0.0625]})
     assert table.rates("a") == pytest.approx([2, 2])
     table.require(a=1.99)
@@ -244,7 +244,7 @@ BOTH_MODELS = (
 )
 
 
-def test_every_case_of_both_models_is_linearised_and_at_finite_strains():
+def test_cases_of_both_models_exist_linearised_and_at_finite_strains_and_all_are_described():
     names = {c.name for c in all_cases()}
     for name in BOTH_MODELS:
         assert {f"{name}-linearised", f"{name}-finite"} <= names
@@ -256,7 +256,7 @@ def test_every_case_of_both_models_is_linearised_and_at_finite_strains():
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_reduced_set_holds(tmp_path):
+def test_the_cases_of_the_reduced_set_keep_their_bounds(tmp_path):
     """One case or two of every theme take minutes; two processes run them, since this test is the last of
     its tier."""
     assert main(["--reduced", "--jobs", "2", "-o", str(tmp_path / "report")]) == DONE

@@ -61,7 +61,7 @@ def exact(G_v, at):
 @pytest.mark.parametrize(
     "name", [pytest.param(n, marks=() if n in DEFAULT else pytest.mark.long) for n in LAWS]
 )
-def test_the_profile_in_a_channel_follows_the_viscosity_law(name):
+def test_the_velocity_profile_in_a_channel_follows_the_viscosity_law(name):
     law, G_v = LAWS[name]
     fluid = nv.BarotropicFluid.from_state_equation(a=10.0, gamma=1.4, rho_R=1.0)
     model = nv.Model(material=fluid, viscosity=law, loads=(nv.BodyForce((FORCE, 0.0)),))
