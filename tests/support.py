@@ -275,7 +275,8 @@ def each_once(*factors: Iterable[Any]) -> list[Any]:
 
 
 def one_of(number: int, cases: Iterable[Any]) -> list[Any]:
-    """All cases, each a value; the default suite tries one of every so many, and CI the others."""
+    """All cases, each a value. The default suite tries one out of ``number`` cases, and CI tries the
+    others."""
     return [by_ci(case) if i % number else case for i, case in enumerate(cases)]
 
 
@@ -343,7 +344,8 @@ def evolved(run: nv.Simulation) -> dict[str, np.ndarray]:
 
 
 def assert_same(run: nv.Simulation, other: nv.Simulation, of: float = 1e-9) -> None:
-    """Assert that coefficients of v, rho and z agree up to ``of`` times the largest of each."""
+    """Assert that coefficients of v, rho and z agree up to ``of`` times the largest coefficient of the same
+    unknown."""
     first, second = evolved(run), evolved(other)
     for name, values in first.items():
         assert np.abs(values - second[name]).max() <= of * np.abs(values).max(), name

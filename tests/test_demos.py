@@ -151,7 +151,7 @@ DEAR = (
     *("soft_disc", "swirl", "swirl3d"),
     *("creep", "creep_finite", "glacier", "notch", "plume", "wave"),
 )
-"""Demos that take more than half a second of processor time each."""
+"""Demos each of which takes more than half a second of processor time."""
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,7 @@ def test_minimum_in_a_box_meets_the_optimality_conditions(seed):
 
 
 def test_function_that_is_not_convex_is_refused():
-    """Newton's step raises the function by 0.04 - 0.01, which no rounding of a BLAS kernel changes."""
+    """Newton's step raises the function by much more than the rounding error of any BLAS kernel."""
     H, f, none = sp.diags([-1.0, 1.0]).tocsr(), np.array([-0.2, 0.1]), (np.zeros(2), np.zeros(2))
     with pytest.raises(StepError, match="not convex"):
         minimise_in_box(H, f, none, np.full(2, -9.0), np.full(2, 9.0))
@@ -55,7 +55,7 @@ def test_gmres_takes_the_same_directions_as_scipy(rtol, most):
 
 
 def test_gmres_uses_the_inner_product_of_its_caller():
-    """Unknowns that a vector contains twice, as those that ranks share, count once."""
+    """Unknowns that a vector contains twice, like the unknowns that ranks share, count once."""
     matrix, right = system()
     twice = np.concatenate([np.arange(len(right)), np.arange(10)])
     first = np.arange(len(twice)) < len(right)

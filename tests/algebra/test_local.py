@@ -10,8 +10,8 @@ CELLS, PIECES, POINTS, WIDTH = 12, 3, 7, 20
 
 
 def matrix(rng, bent=None, x=None):
-    """Values of five unknowns of each cell at points of its pieces; functions are quadratic except in the
-    cell ``bent``."""
+    """Values of five unknowns of each cell at points of its pieces. The functions are quadratic in all cells
+    but ``bent``."""
     x = np.linspace(0.0, 1.0, POINTS) if x is None else x
     functions = np.stack([np.ones(POINTS), x, x * x])
     blocks = rng.standard_normal((CELLS, 5, PIECES, 3)) @ functions

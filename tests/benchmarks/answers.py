@@ -49,7 +49,8 @@ from tests.verification.lagrangian_solid import LagrangianSolid, neo_hookean
 
 SCHEMES = ("backward-euler", "midpoint")
 UNIT = ("shear wave", (2, 1), 6, 20, "midpoint")
-"""The run whose seconds are one: problem, orders, cells a side, number of steps and scheme."""
+"""The reference run, whose time is the unit of the column "relative": problem, orders, cells a side, number
+of steps and scheme."""
 ERRORS = (0.1, 0.03, 0.01, 0.003)
 """Errors of the last table."""
 REFERENCE = ((3, 2), 9, 40, "midpoint")
@@ -103,7 +104,8 @@ _TURNING = (
     AMPLITUDE * ROOT / RADIUS * IfPos(_ALONG - 1e-3, (sin(_ALONG) / _ALONG - cos(_ALONG)) / _ALONG**2, 1 / 3)
 )
 TURNING = CF((-_TURNING * y, _TURNING * x, 0.0))
-"""AMPLITUDE j_1(ROOT r/RADIUS) about the z-axis, j_1 a spherical Bessel function, m/s."""
+"""Velocity at the start, m/s: AMPLITUDE j_1(ROOT r/RADIUS) about the z-axis, with the spherical Bessel
+function j_1."""
 
 
 def ball(cells: int, **options: object) -> nv.Simulation:
@@ -117,7 +119,7 @@ def ball(cells: int, **options: object) -> nv.Simulation:
 
 
 def kept_of_ball(t: float) -> np.ndarray:
-    """Kinetic energy over that of the start: a mode of the wave equation, damped by viscosity."""
+    """Kinetic energy, divided by its start value, of a mode of the wave equation with viscous damping."""
     per_length = (ROOT / RADIUS) ** 2
     decay = ETA * per_length / 2
     rate = (SHEAR * per_length - decay**2) ** 0.5
@@ -125,7 +127,7 @@ def kept_of_ball(t: float) -> np.ndarray:
 
 
 def kept(run: nv.Simulation) -> np.ndarray:
-    """The kinetic energy over that of the start."""
+    """The kinetic energy divided by its start value."""
     return np.array([run.ledger.rows[-1]["kinetic"] / run.ledger.rows[0]["kinetic"]])
 
 
@@ -218,8 +220,8 @@ def lagrangian(
 ) -> Callable[[Problem, np.ndarray], Iterator[Row]]:
     """Runs on a moving mesh by the midpoint rule, with the cells and steps of the problem.
 
-    The answer is the kinetic energy, over that of the start if ``is_share``.  If ``has_own_reference``, the
-    runs are compared with a finer run of degree 3 on a moving mesh.
+    The answer is the kinetic energy, which is divided by its start value if ``is_share``. If
+    ``has_own_reference``, the runs are compared with a finer run of degree 3 on a moving mesh.
     """
 
     def answer(cells: int, steps: int, until: float, order: int = 2) -> tuple[np.ndarray, float]:

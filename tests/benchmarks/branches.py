@@ -50,7 +50,7 @@ def swirl(dim: int, maxh: float, solver: str, count: int) -> Any:
 
 
 def take_steps(dim: int, maxh: float, solver: str, count: int) -> None:
-    """Start a run anew, or take a step of it, for each line of the standard input; print a line for each.
+    """For each line of the standard input, start the run anew or take a step of the run, and print a line.
 
     A line has the number of cells, or the seconds of processor time and the iterations of the step.
     """
@@ -92,7 +92,7 @@ class Steps:
 def measured(
     dim: int, maxh: float, solver: str, steps: int, rounds: int, roots: Sequence[Path]
 ) -> Iterator[tuple[object, ...]]:
-    """Measure the rows of a problem, one for each of ``roots``."""
+    """Measure a problem with the code of each clone in ``roots``; yield a row for each clone."""
     processes = [Steps(root, dim, maxh, solver, count) for root in roots for count in (1, 2)]
     least, iterations = np.full((len(processes), steps), np.inf), np.zeros((len(processes), steps))
     cells = 0.0

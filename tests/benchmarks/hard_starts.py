@@ -82,7 +82,7 @@ def _shear_wave(nv: Any, mesh: Mesh) -> Any:
 
 
 def _impact(nv: Any, mesh: Mesh, scheme: str) -> Any:
-    """Two halves of a bar that meet with a fifth of the speed of sound, c dt/h = 0.8."""
+    """Two halves of a bar that meet at a fifth of the speed of sound; c dt/h = 0.8."""
     speed = 0.2 * float(np.sqrt(50 / 3))
     material = nv.NeoHookean(**SOLID, elastic_state="F")
     nu = speed * 0.01

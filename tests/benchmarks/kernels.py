@@ -41,11 +41,12 @@ def swirl(dim: int, maxh: float, **laws: object) -> nv.Simulation:
 
 
 Ways = dict[str, tuple[Callable[[], object], Callable[[], object]]]
-"""The kernels by name, each with the general way to the same numbers."""
+"""For each name, a kernel and the general code that computes the same numbers."""
 
 
 def kernels(run: nv.Simulation) -> Ways:
-    """Tangents of hyperviscosity and transport at the run's present state, beside complex increments."""
+    """Tangents of hyperviscosity and transport at the run's present state; the general code takes complex
+    increments."""
     split = run.solver.newton
     residual, preconditioner = split.residual, split.preconditioner
     at = residual(split.unknowns.pack())

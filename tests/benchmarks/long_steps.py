@@ -26,10 +26,11 @@ from tests.verification.cases import robustness
 from tests.verification.setups import KINDS, block, elastic
 
 LARGEST_ELASTIC = 100.0
-"""Courant number c dt/h of longitudinal waves up to which a point of the grid counts."""
+"""Largest Courant number c dt/h of longitudinal waves; points of the grid with larger Courant numbers are
+left out."""
 TAUS = {2: (0.014, 0.14, 0.4, 1.0), 3: (0.03, 0.3, 1.0, 3.0)}
-"""Steps, s, by dimension: Courant numbers of the flow up to 10, of waves as close to 100 as stiffnesses
-allow."""
+"""Steps, s, by dimension. The Courant numbers of the flow are up to 10; those of waves are as close to 100 as
+the stiffnesses allow."""
 STEPS = 8
 DRIFT_IN_SPACE = (
     1 + 0.5 * sin(2 * pi * x) * cos(2 * pi * y) * cos(2 * pi * z),

@@ -39,7 +39,8 @@ def resident(field: str = "VmHWM") -> float:
 
 
 def newton(coarse: str, unknowns: int | None) -> nv.NewtonOptions:
-    """Options with this solver for the vertices, and two levels from a number of unknowns of v on."""
+    """Options with the solver ``coarse`` for the vertices, and with two levels from a number of unknowns of v
+    on."""
     split = SplitOptions() if unknowns is None else SplitOptions(direct_up_to=(unknowns, unknowns))
     return nv.NewtonOptions(coarse=coarse, split=split)
 

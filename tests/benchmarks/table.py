@@ -32,8 +32,9 @@ COLUMNS: dict[str, Callable[[dict], str]] = {
 """Texts of a row's entries, by the heads of the columns."""
 
 FITTED = (700, 40_000)
-"""Numbers of cells between which rows, if there are three, count for growth exponents: with fewer cells a
-step takes the interpreter's time, and the largest mesh, which is refined, is of another kind."""
+"""Least and largest number of cells of the rows that growth exponents are computed from, if there are at
+least three such rows. With fewer cells, the interpreter takes most of a step's time; the largest mesh is
+refined, and therefore of another kind."""
 
 
 def markdown(rows: list[dict]) -> str:
@@ -57,7 +58,7 @@ def markdown(rows: list[dict]) -> str:
 
 
 def summary(rows: list[dict]) -> str:
-    """Ratios within a call, and exponents of cost and memory in the number of cells."""
+    """Ratios of rows of one call, and exponents of cost and memory in the number of cells."""
     done = [row for row in rows if "failed" not in row]
     lines = []
     creeping = {(r["dim"], r["maxh"], r["creeping"]): r["step"] for r in done if r.get("creeping")}

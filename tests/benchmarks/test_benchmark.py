@@ -72,7 +72,8 @@ def test_exponents_of_cost_are_fitted():
 
 
 def test_answers_name_the_cheapest_run_and_compare_it_to_an_older_table(tmp_path, monkeypatch, capsys):
-    """The table has runs of known error and cost; then the same runs are twice as fast."""
+    """The table contains runs of known error and cost. In the newer table, the same runs are twice as
+    fast."""
     speed = 1.0
 
     def measured(name, order, cells, steps, scheme):

@@ -43,8 +43,9 @@ def mesh_of(cells: int) -> Any:
 
 
 def swirl(mesh: Any) -> tuple[Callable[[], tuple[int, int]], Callable[[], float]]:
-    """The swirl by the code on the path, as two functions. The first function makes a step and returns the
-    numbers of iterations and directions. The second function returns the kinetic energy."""
+    """Two functions that compute the swirl with the version of ngvisco on Python's path. The first function
+    makes a step and returns the numbers of iterations and directions. The second function returns the kinetic
+    energy."""
     import ngvisco as nv
     from ngvisco.solver.split.preconditioner import Preconditioner
     from tests.benchmarks.case import swirl_on
@@ -93,7 +94,7 @@ def clocks() -> tuple[float, float]:
 
 
 def measure(code: str, cells: int, steps: int) -> dict[str, Any]:
-    """A row, measured in this process."""
+    """Measure a row in this process."""
     from ngsolve import SetNumThreads
 
     SetNumThreads(1)
@@ -115,7 +116,7 @@ def measure(code: str, cells: int, steps: int) -> dict[str, Any]:
 
 
 def row(code: str, name: str, root: Path, threads: int, cells: int, steps: int) -> dict[str, Any]:
-    """A row, measured by another process with the code of ``root``."""
+    """Measure a row in another process with the code of ``root``."""
     python = sys.executable
     if code == "lagrangian":
         python = os.environ.get("NGVISCO_PARALLEL_PYTHON", python)

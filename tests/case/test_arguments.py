@@ -1,8 +1,8 @@
 """Arguments without a key in case files have an effect: another value changes the results, or is refused.
 
-Keys of case files are swept by ``tests/case/test_effects.py``; here are the public classes and arguments
-that are no keys.  Each argument has two values. The test compares the state and the ledger's row after a
-step on six triangles; for classes that write it compares the files and columns of two steps.
+The tests in this file sweep the arguments of public classes that no key sets; ``tests/case/test_effects.py``
+sweeps the keys of case files. Each argument has two values. The test compares the state and the ledger's row
+after a step on six triangles; for classes that write it compares the files and columns of two steps.
 """
 
 import inspect
@@ -29,7 +29,7 @@ MADE = {
     *("Case", "ConvexityReport", "Fit", "Gradient", "IsotropyReport", "Rejection", "Transfer"),
     *("FlowRule", "Material", "Observer", "PointTerm", "Shape", "Viscosity"),
 }
-"""Classes of results, which the package makes, and classes that have only subclasses."""
+"""Classes that users do not make: classes of results, and base classes."""
 
 BY_ITS_OWN = {
     "Body.order": "run/test_bodies.py",
@@ -251,7 +251,7 @@ PAIRS = {
     "Simulation.symmetry": [partial(left_by, symmetry=of) for of in ("none", "axisymmetric")],
     "Simulation.steps": [partial(left_by, dt=dt) for dt in (0.02, 0.01)],
 }
-"""Two runs that differ in one argument, by this argument."""
+"""For each argument, two runs that differ in this argument alone."""
 HOW = {
     "Bodies": (nv.Bodies, {}, {"every": (1, 2), "path": ("a.csv", "b.csv")}),
     "Checkpoints": (
@@ -294,7 +294,8 @@ HOW = {
         IN_ROWS | {"walls": (["left"], ["right"]), "about": ((0.0, 0.0), (0.0, 1.0))},
     ),
 }
-"""Classes that write: the class, its requirements, and two values of each argument."""
+"""For each class that writes files: the class, its required arguments, and two values of each other
+argument."""
 OBSERVED = [(name, argument) for name, (_, _, of) in HOW.items() for argument in of]
 
 

@@ -196,7 +196,8 @@ IN_SECTION = {
 
 @cache
 def of_steps(text, steps):
-    """Results of a case without output; keys that a kind needs share the case that has their examples."""
+    """Results of a case without output. Results are cached, since keys that one kind requires share the case
+    with their examples."""
     case = parse_case(text, "case.toml", Path("."))
     run = case.simulation(case.mesh())
     rows = [run.advance() for _ in range(steps)]
@@ -205,7 +206,8 @@ def of_steps(text, steps):
 
 
 def left_by(data, key, place):
-    """Results of a case: the mesh, a step's state and row; for keys of output, the files."""
+    """Results of a case: for keys of the domain the mesh, for keys of output the files, for other keys a
+    step's state and row."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         case = parse_case(toml.write(data), "case.toml", Path("."))
@@ -248,7 +250,7 @@ def is_elsewhere(entry, kind):
 
 
 QUICK = 12
-"""One of this number of keys is tried by default, and all by CI."""
+"""The default suite tries one key out of this number of keys, and CI tries all keys."""
 TRIED = [
     pytest.param(*case.values, id=case.id, marks=(pytest.mark.long, pytest.mark.ci) if i % QUICK else ())
     for i, case in enumerate(one for one in CASES if not is_elsewhere(*one.values))

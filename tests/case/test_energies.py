@@ -41,7 +41,7 @@ J = 1 + 0.2 * RNG.random(5)
 
 
 def by_arrays(text, **parameters):
-    """Values at (F, J) and the derivatives by both."""
+    """Values of an energy by arrays at (F, J), and its derivatives with respect to F and J."""
     arguments = {"F": Array(F), "J": Array(J)}
     energy = parse_energy(text, F_AND_J, parameters)(**arguments)
     return energy.value, derivatives(energy, list(arguments.values()))

@@ -68,7 +68,7 @@ WITHIN = {
 
 
 def placed(entry, kind):
-    """A case in which the key has its example, in a section of this kind with all else that the section
+    """A case with the example of the key, in a section of this kind that has all other keys that it
     requires."""
     data = tomllib.loads(BASE)
     if {"bodies", "contours"} & {*entry.path[:2]}:  # tables of bodies need bodies

@@ -116,7 +116,7 @@ def test_a_number_with_thousands_of_digits_is_reported_as_a_fault_of_the_file():
 
 
 def test_the_limit_of_the_number_of_adaptive_steps_counts_steps_of_the_largest_length():
-    """In a run from half a second to thirty years dt is only the length of the first step."""
+    """In a run with steps from half a second to a year, dt is only the length of the first step."""
     steps = ["time.dt=0.5", "time.until='30 yr'", "time.adaptive.dt_min=0.1"]
     assert case(CASE, *steps, "time.adaptive.dt_max='1 yr'").until > 9e8
     with pytest.raises(
@@ -186,7 +186,7 @@ def test_settings_of_the_command_line_override_keys_and_are_named_in_faults():
 
 
 def test_without_creep_the_default_elastic_state_follows_from_the_orders():
-    """A run directory keeps the choice; a law with a single form has this form."""
+    """The resolved case of a run directory stores the elastic state; a law that exists by F only keeps F."""
     still = CASE.replace("[rheology.creep]\nG_m = 5\n", "")
     for m, state in ((0, "B"), (1, "F")):
         found = case(still, f"discretisation.m={m}", f"discretisation.k={m + 1}")

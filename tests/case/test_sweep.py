@@ -1,6 +1,6 @@
 """Every key of the schema with wrong values: a case runs, or is refused under the key at fault.
 
-The keys are read from the schema, so that a new one is in the sweep without being named here.
+The keys are read from the schema, so that the sweep includes a new key without a change of this file.
 """
 
 import copy
@@ -182,7 +182,7 @@ def name_of(path, table):
 
 
 def faults_of(path, table, key, what, is_made):
-    """Faults of the case with a wrong value that the case without it does not have."""
+    """Faults that a case has with a wrong value, and does not have without the wrong value."""
     value = WRONG[what]
     error = outcome(placed(path, table, key, value), is_made, path[:1] != ("domain",))
     return error.faults if error else ()

@@ -107,7 +107,7 @@ PRESSED = CASE.replace('kind = "Traction"\nf = { file = "pull.csv" }', 'kind = "
 
 
 def test_a_number_of_a_wall_may_be_given_by_a_table_of_time(tmp_path):
-    """A file may begin with a mark of the byte order."""
+    """The file of the table may begin with a byte order mark."""
     table = '{ file = "pull.csv", column = 1 }'
     case = load_case(written(tmp_path, "\ufeff" + PRESSED.replace("PRESSURE", table)))
     again = parse_case(case.resolved, "again", Path("nowhere"))

@@ -248,7 +248,7 @@ def test_texts_are_utf_8_whatever_the_locale(tmp_path, case_file):
 
 @pytest.mark.parametrize("package", ["ngsolve", "scipy"])
 def test_an_interrupt_during_the_imports_leaves_no_traceback(tmp_path, package):
-    """Other programs have Python's traceback."""
+    """In programs other than the command, Python prints its traceback."""
     (tmp_path / f"{package}.py").write_text("raise KeyboardInterrupt")
     there = environment() | {"PYTHONPATH": str(tmp_path)}
     run = {"env": there, "capture_output": True, "text": True}

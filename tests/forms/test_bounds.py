@@ -28,7 +28,7 @@ BY_ALL = nv.CustomMaterial(
         3 * (J - 1) * (J - 1) + 3 * (A - 1) * (A - 1) + square(F) + square(H) + 0.5 * square(H) * square(H)
     ),
 )
-"""An energy of F, Cof F, J and 1/J that is convex and finite for all values."""
+"""A convex energy of F, Cof F, J and 1/J that is finite for all values."""
 
 MESHES = {
     "triangles": lambda: box((1, 1), 0.4),

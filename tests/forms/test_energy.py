@@ -34,7 +34,8 @@ def step_with(dim: int, material: nv.Material, k: int = 2, m: int = 1) -> Step:
 
 
 def mismatch(step: Step, *, refreshed: bool = True) -> float:
-    """Largest error of Jacobian times direction, against differences of the refreshed residual."""
+    """Largest error of the Jacobian times a direction, against differences of the residual. The energies at
+    points are updated before each residual."""
     randomise(step, 3)
     if refreshed:
         step.local_unknowns.update_stored()

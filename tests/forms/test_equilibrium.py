@@ -153,7 +153,7 @@ def test_the_datum_of_the_pressure_may_be_a_wall_a_point_or_the_top():
 
 AIR = nv.Thermal(c=862.0, gruneisen=0.4, theta_R=293.0, rho_R=1.2)
 OF_AIR = 0.4 * 862 * 293 / (1.2 * 9.81)
-"""Pressure of the air over its weight, m."""
+"""Pressure of the air divided by its weight per volume, m."""
 
 
 @pytest.mark.parametrize(

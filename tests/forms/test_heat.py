@@ -65,7 +65,7 @@ YIELDING = nv.Perzyna(sigma_Y=0.1, G_m=1.0)
 @pytest.mark.parametrize("kind", others_by_ci(CLOSED, "euler"))
 def test_a_closed_box_keeps_its_energy_and_gains_entropy_in_both_solvers(kind):
     """Creep beyond a yield stress, growing damage and friction at a wall dissipate. The energy is kept to the
-    tolerance of the iteration. The damage's ``bregman_damage`` is not heat.
+    tolerance of the iteration. The energy in the column ``bregman_damage`` is not heat.
     """
     conductivity, options, numerical = CLOSED[kind]
     all_on = {"material": replace(SOLID, material=BREAKING), "laws": ALL | {"creep": YIELDING}}
@@ -339,8 +339,8 @@ PAIRS_OF_BODIES = [
     pytest.param("relaxed midpoint", {"expansion": 0.3}, marks=LONG, id="two thermal pressures"),
     pytest.param("relaxed midpoint", {"gruneisen": 0.3, "material": None}, marks=LONG, id="gas"),
 ]
-"""Schemes, and the body beside a solid with the expansion 0.1/K; the common energy has an expression, or
-none."""
+"""Schemes, and the body beside a solid with the thermal expansion 0.1/K. The common energy of both bodies has
+an expression only if the expansions are equal."""
 
 
 @pytest.mark.parametrize(("kind", "other"), PAIRS_OF_BODIES)

@@ -17,7 +17,7 @@ EXACT = sum(
     8 / (math.pi * n) ** 2 * math.exp(-DIFFUSIVITY * (math.pi * n / LENGTH) ** 2 * UNTIL)
     for n in range(1, 40, 2)
 )
-"""Difference between the means of both halves, by Fourier's series of a step."""
+"""Difference between the means of both halves, by the Fourier series of a jump."""
 
 
 def left(run, field):

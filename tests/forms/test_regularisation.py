@@ -114,7 +114,7 @@ def test_skew_convection_is_the_paper_s_convection_minus_half_the_continuity_equ
     rho|^(r-2) grad rho).
 
     m = K(rho) rho v, and tests are velocities that vanish on the walls; the form is exact for these
-    polynomials, since grad rho and K(rho) are constant. Each part is powerless, so that the ledger would not
+    polynomials, since grad rho and K(rho) are constant. Each part has no power, so that the ledger would not
     show a missing part.
     """
     law, rho = CONVECTED[case]

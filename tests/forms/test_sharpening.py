@@ -97,8 +97,8 @@ def test_sharpening_keeps_masses_the_sum_of_amounts_and_the_energy(material, mes
 @pytest.mark.parametrize("mesh", MESHES)
 @pytest.mark.parametrize("most", [1.1, 1.6])
 def test_determinants_are_restored_and_the_energy_does_not_rise(material, mesh, most, rng):
-    """At corners with too large X, det B becomes 1. At corners with too small X, det B becomes 1 if the
-    energy released at other corners suffices (``most`` 1.6); otherwise det B rises by a share of the
+    """At corners where X is too large, det B becomes 1. At corners where X is too small, det B becomes 1 if
+    the energy that other corners release suffices (``most`` = 1.6). Otherwise, det B rises by a share of the
     difference, so that the energy stays the same."""
     step, bounds = smeared(material, *MESHES[mesh]())
     by, states = bounds.sharpening, step.layout.states
@@ -128,8 +128,8 @@ def test_determinants_are_restored_and_the_energy_does_not_rise(material, mesh, 
 
 
 def restored(material, factors):
-    """det (X/n) N^2 of the disc at corners, before and after determinants are restored; N is the amount of
-    all matter. Amounts are first multiplied by ``factors``, (corners of a cell,)."""
+    """det (X/n) N^2 of the disc at corners, before and after determinants are restored, where N is the amount
+    of all matter. At the start, the function multiplies the amounts by ``factors``, (corners of a cell,)."""
     step, bounds = smeared(material)
     by, states, found = bounds.sharpening, step.layout.states, []
     u = by._values()
@@ -470,8 +470,8 @@ def test_a_disc_in_shear_keeps_its_symmetry():
     """Cells that have given all of a body contain zero or a rounding error of either sign, which must not
     move tensors.
 
-    Half a turn about the middle maps mesh and flow to themselves. When the rounding's sign decided,
-    differences grew from 7e-16 to 3e-6.
+    Half a turn about the middle maps mesh and flow to themselves. In an earlier version, the sign of the
+    rounding error decided, and differences grew from 7e-16 to 3e-6.
     """
     edge, mesh = 0.25, structured_box((1, 1), (6, 6), crossed=True, periodic="x")
     run = nv.Simulation(

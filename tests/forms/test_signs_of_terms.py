@@ -18,8 +18,7 @@ DT = 1e-3
 
 
 def pushed(left, right, velocity=(0.0, 0.0), density=1.0, model=None, **options):
-    """The change of momentum per time, N, of a body between two walls of 1 m, in a box that is periodic in
-    y."""
+    """Rate of the momentum, N, of a body between two walls of 1 m, in a box that is periodic in y."""
     model = model or nv.Model(material=SOLID)
     walls = {"left": left, "right": right}
     start = nv.Initial(velocity=velocity, density=density)

@@ -20,7 +20,7 @@ GAS = nv.BarotropicFluid(B=1.0, gamma=2.0, rho_R=1.0)  # 1 Pa at rest
 
 
 def fluid(at_rest):
-    """A fluid with this stress at rest, Pa."""
+    """A fluid with the stress ``at_rest`` at rest, Pa."""
     energy = lambda J: 5 * (J - 1) * (J - 1) / J + at_rest  # noqa: E731
     return nv.CustomMaterial(transported=(Jacobian(),), stored_energy=energy)
 
@@ -105,8 +105,8 @@ def test_a_gas_beside_an_open_wall_without_pressure_is_warned_of(recwarn):
 
 @pytest.mark.parametrize("place", ["at the walls", "inside"])
 def test_the_stress_at_rest_is_that_of_the_body_beside_the_wall(place, recwarn):
-    """The mean stress at the wall contains that of the body's half only. A medium that bears the load of the
-    wall causes no warning."""
+    """The mean stress at the wall is computed in the body's half of the wall only. A medium that bears the
+    load of the wall causes no warning."""
     where = nv.Block((0.0, 0.0), (1.0, 0.25)) if place == "at the walls" else nv.Ball((0.5, 0.25), 0.1)
     bodies = [
         nv.Body(name="body", material=fluid(15.0), where=where, density=1.0),

@@ -310,8 +310,8 @@ def revolved(solver: str) -> nv.Simulation:
 
 
 def observed(dim: int) -> nv.Simulation:
-    """A run with tables of points on facets, where fields jump, in cells and on walls, of forces, and of
-    integrals."""
+    """A run with tables of forces, of integrals, and of values at points: in cells, on walls, and on facets
+    where fields jump."""
     middle = (0.5,) * dim
     tables = [
         nv.Probes({"middle": middle, "corner": (0.0,) * dim, "in a cell": (0.3,) * dim}),

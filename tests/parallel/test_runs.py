@@ -70,8 +70,8 @@ CASES["yield"] = CASE.replace("[initial]", YIELD).replace('"F"', '"B"')
 CASES["adapted"] = (
     CASES["periodic"].replace(MATERIAL, ADAPT + MATERIAL).replace('"3 + cos(pi*y)"', '"1 - y*y"')
 )
-"""A run with other cells in every step; its identified walls are divided alike, and one wall is on
-springs."""
+"""A run with other cells in every step. Both of its identified walls are divided in the same way, and one
+wall is on springs."""
 
 
 @cache
@@ -196,8 +196,9 @@ AT_REST = {
     "at rest, periodic": (2.0, 0.04),
     "at rest in space": (2.0, 0.15),
 }
-"""Pressure at the base, Pa, below 1 m of the density 3 - 2 y, or 0.5 m of 1 above 0.5 m of 3 kg/m^3, and the
-error that linear volumes on cells of 0.3 m, in space 0.6 m, may have."""
+"""For each start: the pressure at the base, Pa, and its largest admissible error. The matter above the base
+has the density 3 - 2 y over 1 m, or 3 kg/m^3 over 0.5 m and 1 kg/m^3 over the next 0.5 m. The error is caused
+by linear volumes on cells of 0.3 m, or of 0.6 m in space."""
 
 
 @pytest.mark.parametrize(

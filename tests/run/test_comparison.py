@@ -87,7 +87,7 @@ def test_a_comparison_with_a_directory_without_a_run_is_refused(runs, tmp_path, 
 
 
 def test_plot_of_a_study_compares_its_runs(runs, capsys):
-    """The picture has the runs of a study that made a step, by their names."""
+    """The picture contains the runs of the study that made a step, and names them."""
     (runs / "sweep.csv").write_text(
         "run,material.G_e,state,message\na,5,finished,\nb,1,finished,\nc,2,failed,no\n"
     )

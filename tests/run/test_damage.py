@@ -181,7 +181,7 @@ def test_damage_that_heals_to_zero_loses_its_surface_energy():
 
 
 CROSS = 0.2
-"""l of the cracks that are stretched, m."""
+"""Length l of the damage law for the cracks that are stretched, m."""
 
 
 def across(X):

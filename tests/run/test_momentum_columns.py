@@ -289,8 +289,8 @@ def test_a_clamped_body_under_stress_rests_without_warnings():
 def test_walls_bear_the_torque_of_a_heated_block_that_they_clamp():
     """In a row of cells with one diagonal, jumps of the thermal stress exert a torque of 1e-6.
 
-    Nothing moves, since the walls bear this torque. Momentum and impulses of walls give no scale of this
-    torque.
+    Nothing moves, since the walls bear this torque. Neither the momentum nor the impulses of walls give a
+    scale of this torque.
     """
     metal = nv.Thermal(
         material=nv.LinearElastic(K_e=160e9, G_e=80e9), c=3.6e6, theta_R=293.0, expansion=3.6e-5

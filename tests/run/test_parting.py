@@ -83,7 +83,7 @@ def test_a_resumed_run_equals_the_uninterrupted_run_bit_for_bit(tmp_path):
 
 def test_an_opening_gap_strains_no_body_and_a_stretch_along_the_interface_does():
     """The rates D = n x n and D = n x t + t x n are openings. The rate D = t x t - n x n, which keeps the
-    volume, is none."""
+    volume, is not an opening."""
     n, t = np.array([0.6, 0.8, 0.0]), np.array([-0.8, 0.6, 0.0])
     P, zero = constant(np.outer(n, n)), np.zeros((3, 3))
     mesh = box((1, 1), 1.0)

@@ -296,7 +296,7 @@ FLUID = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 5 *
 
 
 def tense(stress):
-    """A fluid with this stress at rest, Pa, and no other energy at rest."""
+    """A fluid with the stress ``stress`` at rest, Pa, and no other energy at rest."""
     return nv.CustomMaterial(
         transported=(Jacobian(),), stored_energy=lambda J: 5 * (J - 1) * (J - 1) / J + stress
     )

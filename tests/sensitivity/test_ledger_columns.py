@@ -58,8 +58,9 @@ def relative(found, exact, names):
 
 
 STRETCHED = CF((1.6 + 0.1 * x, 0.2, 0, 0.2, 0.9 - 0.05 * y, 0, 0, 0, 0.62), dims=(3, 3))
-"""Start values of B with different eigenvalues and det B = 0.87: at B = I the least eigenvalue and the norm
-of det B - 1 have kinks, which the start must not approach within the spacing of a tangent's differences."""
+"""Start values of B with different eigenvalues and det B = 0.87. At B = I, the least eigenvalue and the norm
+of det B - 1 have kinks. The distance of the start from the kinks must exceed the spacing of the tangent's
+differences."""
 
 
 @pytest.mark.parametrize(("scheme", "solver"), SCHEMES)

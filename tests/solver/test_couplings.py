@@ -56,7 +56,7 @@ class Leak(PointTerm):
 
 @dataclass(frozen=True)
 class Healing(PointTerm):
-    """The row int s (J - 1)(2 + J) H: J returns to 1 in a hundredth of a step."""
+    """The row int s (J - 1)(2 + J) H, by which J returns to 1 in a hundredth of a step."""
 
     s: float  # 1/s
 
@@ -100,7 +100,7 @@ class GrowthOfPlaceAndTime(PointTerm):
 
 @dataclass(frozen=True)
 class GrowthByForms:
-    """A row of rho that is given by a form only."""
+    """A term with a row of rho that only a form gives."""
 
     s: float
 
@@ -112,7 +112,7 @@ class GrowthByForms:
 
 
 class FormOnly(PointTerm):
-    """A term at points that is given by a form."""
+    """A term at points that only a form gives."""
 
     def form(self, u, w):
         return [Integrand(4.0 * u.rho * inner(u.v, w.v))]

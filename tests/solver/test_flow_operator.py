@@ -147,10 +147,9 @@ def test_the_resolvent_by_its_series_is_the_inverse(run, strain, monkeypatch):
 
 @pytest.mark.parametrize("run", [None, "bodies"], indirect=True)
 def test_the_force_s_derivative_by_continuous_fields_is_exact(run, monkeypatch):
-    """The state is uniform and its change linear, so that no facet contributes. Differences give phi''.
-
-    Weight, inertia, convection and the balance of momentum change with the density of bodies; increments
-    leave out the mass flux through facets.
+    """The state is uniform, and the change of the state is linear, so that no facet contributes. Differences
+    give phi''. With the density of bodies, the weight, inertia, convection and the balance of momentum change
+    as well. The increments do not contain the mass flux through facets.
     """
     place, rng = linear(run, lambda x, y: (x, y)), np.random.default_rng(3)
     v = linear(run, lambda x, y: (0.3 + 2 * y - x, x + 0.5 * y)) * (len(run.model.bodies) > 1)

@@ -56,8 +56,8 @@ def assert_programs_repeat_it(split, x, other):
 
 
 def assert_is_the_derivative(run, bound=1e-8):
-    """Assert that the derivative, away from a solution, is that of Richardson's differences, block by block;
-    their rounding leaves 1e-9."""
+    """Assert that the derivative at a state that is no solution equals Richardson's differences, block by
+    block. Rounding of the differences leaves an error of 1e-9."""
     split = run.solver.newton
     run.advance()
     run.rothe_step.context.set_step(0.02, 0.04, 0.02, 0.02)

@@ -59,8 +59,8 @@ def first_step(run):
 @pytest.mark.usefixtures("double_precision")
 @pytest.mark.parametrize(("k", "p"), [(2, 4.0), (3, 4.0), (2, 2.0), (2, 3.5)])
 def test_the_derivative_of_the_hyperviscosity_equals_differences_of_its_rows(k, p):
-    """The derivative of the penalty is integrated by its own rule, which is not exact if this derivative is
-    no polynomial."""
+    """The derivative of the penalty is integrated by a rule of its own. This rule is not exact if the
+    derivative is not a polynomial."""
     run = simulation(hyperviscosity=nv.HyperViscosity(mu=1e-3, p=p), discretisation=nv.Discretisation(k=k))
     run.advance()
     split = run.solver.newton

@@ -48,8 +48,8 @@ WALLS_BY_DEFAULT = (
     ("accelerated lid", "sdirk2", "split"),
     ("traction with friction", "midpoint", "split"),
 )
-"""Walls and tractions of the default suite. They change in time, and schemes differ in their means over time.
-CI tries all."""
+"""Walls and tractions of the default suite. Their data change in time, because schemes differ in the means
+over time that they take. CI tries all walls and tractions."""
 
 
 @pytest.mark.parametrize(

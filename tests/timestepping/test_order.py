@@ -48,7 +48,7 @@ STIFFER = {"CustomMaterial": 0.01}
 MARKS = {"LinearElastic": ()} | dict.fromkeys(
     ["NeoHookean", "OldroydB", "BarotropicFluid", "CustomMaterial"], (pytest.mark.long, pytest.mark.ci)
 )
-"""Materials of every kind of variable: E, F with J, B with J; J alone and an energy of one's own."""
+"""Materials of every kind of variable: E; F with J; B with J; J alone; and a user's energy."""
 
 
 BY_MATERIAL = [
