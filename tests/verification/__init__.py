@@ -4,8 +4,8 @@
 (``case.Case``); ``runner`` runs it and ``report`` writes its results.  Each module of ``verification.cases``
 has the cases of one theme. Cases and tests share ``manufactured``, ``convergence`` and ``setups``.
 
-Cases run on one thread. Further threads of NGSolve would wait actively: beside other work a case would take
-ten times as long, and the wait would count as processor time.
+Cases run on one thread. Further threads of NGSolve would wait actively, so that a case beside other work
+would take ten times as long, and the waiting would count as processor time.
 """
 
 import os

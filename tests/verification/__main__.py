@@ -22,7 +22,7 @@ DONE, FAILED, BAD_INPUT, BAD_FILE, INTERRUPTED = 0, 1, 2, 3, 130
 
 
 def parser() -> argparse.ArgumentParser:
-    """The command line's grammar."""
+    """The parser of the command line."""
     top = argparse.ArgumentParser(
         prog="python -m tests.verification",
         description="Measures what the paper proves and known exact solutions; writes one report.",

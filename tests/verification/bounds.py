@@ -109,7 +109,8 @@ class Bound:
 
     @property
     def sides(self) -> tuple[float, float]:
-        """Least and largest value that keep the bound; infinite on a side without bound."""
+        """The least and the largest value that keep the bound. On a side without a bound, the value is
+        infinite."""
         if isinstance(self.limit, tuple):
             return self.limit
         if self.relation == ">=":

@@ -1,7 +1,8 @@
 """Verification cases, their outcomes, and the judgement.
 
-A case states its bounds before it runs: the bounds stand in the code, beside the claim of the case.  ``run``
-measures; ``judge`` compares, and can neither drop a bound nor add one.
+A case states its bounds before it runs: the bounds stand in the code, beside the claim of the case. The
+function ``run`` measures. The function ``judge`` compares measured values with the bounds, and can neither
+drop nor add a bound.
 """
 
 from __future__ import annotations
@@ -220,7 +221,7 @@ class Case:
 class Cases(list[Case]):
     """Cases of a theme in the report's order; a text above the measuring function declares each case.
 
-    The function has no argument and is mostly a generator; its results are ``Measured``.
+    The function has no argument, and usually is a generator; its results are ``Measured``.
 
     ::
 

@@ -31,9 +31,9 @@ from tests.verification.setups import balls, distance, refinements, square_mesh
 
 KINDS = ("linear", "neo-hookean")
 FURTHER = ("by B", "cofactors", "Yosida", "Yosida, quartic", "with heat", "two bodies")
-"""Materials with other variables: B = F F^T, also with another law of creep; Cof F beside F and J; Yosida
-approximations of the neo-Hookean energy, and of an energy that grows faster than E squared; A and the
-entropy; densities of two bodies that share every point."""
+"""Materials with other variables, by kind. Their variables are B = F F^T, also with another law of creep; F,
+Cof F and J; the variables of Yosida approximations, of the neo-Hookean energy and of an energy that grows
+faster than E squared; A and the entropy; the amounts of two bodies that share every point."""
 HEAT_CAPACITY, THETA_R, GRUNEISEN, CONDUCTIVITY = 1.5, 1.2, 0.8, 0.25
 """Constants of the material with heat; the conductivity is CONDUCTIVITY times theta^1.5."""
 DELTA, DELTA_FIELDS, EPSILON, WEIGHT = 0.02, 0.03, 1.0, -0.7

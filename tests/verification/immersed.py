@@ -4,12 +4,12 @@ Fluid and solid have one density and one viscosity, and differ only by the elast
 
     rho (dt v + div(v (x) v)) = -grad p + mu Laplace v + f,   div v = 0,   dt X = v(X),
 
-with f the nodal forces -dW/dX of linear triangles, W = G/2 (|F|^2 - 2 - 2 ln det F) per referential area.
-The method is that of H. Zhao, J. B. Freund and R. D. Moser, J. Comput. Phys. 227 (2008), with Peskin's kernel
-of four cells between nodes and grid, or that of Roma, Peskin and Berger (1999) of three, velocities on the
-sides of N x N cells, Heun's method and projections by cosine transforms.  A kernel smears the disc's rim over
-its cells: errors are of first order in 1/N, and ``limit`` extrapolates.  The code shares no line with the
-solver.
+with f the nodal forces -dW/dX of linear triangles, W = G/2 (|F|^2 - 2 - 2 ln det F) per referential area. The
+method is that of H. Zhao, J. B. Freund and R. D. Moser, J. Comput. Phys. 227 (2008). The kernel between nodes
+and grid is Peskin's, four cells wide, or the kernel of Roma, Peskin and Berger (1999), three cells wide.
+Velocities are on the sides of N x N cells. Steps are by Heun's method, with projections by cosine transforms.
+A kernel smears the disc's rim over its cells: errors are of first order in 1/N, and ``limit`` extrapolates.
+The code shares no line with the solver.
 """
 
 import math

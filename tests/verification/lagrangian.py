@@ -36,7 +36,8 @@ from ngsolve import (
 from tests.verification.lagrangian_solid import LagrangianSolid, neo_hookean
 
 _PENALTY = 100.0
-"""kappa over (K + G)/radius: a stress of a tenth of K + G makes a depth of a thousandth of the radius."""
+"""The factor kappa in units of (K + G)/radius. With this factor, a stress of a tenth of K + G makes a depth
+of a thousandth of the radius."""
 _STILL = 1e-12
 """Displacement in a step, m, below which a point counts as resting."""
 
@@ -125,7 +126,8 @@ class ThrownDisc(LagrangianSolid):
 
 
 def restitution(rows: np.ndarray) -> float:
-    """Coefficient of restitution: the largest momentum backwards over the momentum at first."""
+    """Coefficient of restitution, which is the ratio of the largest backward momentum to the initial
+    momentum."""
     momentum = rows[:, 1]
     return float(-momentum.min() / momentum[0])
 

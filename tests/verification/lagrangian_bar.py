@@ -6,10 +6,10 @@ the cells do not lock.  The explicit scheme of central differences has lumped ma
 
     psi = K/2 (J - 1)^2 + G/2 (tr b - 3) + H k^2/2,     det b = 1,
 
-with the isochoric elastic left Cauchy-Green tensor b and the plastic strain k.  The stress returns radially
-to the yield surface |dev tau| = sqrt(2/3) (sigma_Y + H k) (Simo and Hughes, Computational Inelasticity, 1998,
-Box 9.1).  A viscosity in bulk, a part of density, speed of sound and cell, damps waves as short as a cell.
-The code shares no line with the package.
+with the isochoric elastic left Cauchy-Green tensor b and the plastic strain k. The stress returns radially to
+the yield surface |dev tau| = sqrt(2/3) (sigma_Y + H k) (Simo and Hughes, Computational Inelasticity, 1998,
+Box 9.1). A bulk viscosity in proportion to density, speed of sound and size of the cell damps waves as short
+as a cell. The code shares no line with the package.
 """
 
 from __future__ import annotations

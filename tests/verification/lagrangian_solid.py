@@ -4,8 +4,8 @@ Displacements u in a space of vectors solve
 
     rho_0 dt v = Div P,  dt u = v,  P = psi'(F) + J D(L) F^{-T},  L = (Grad v) F^{-1},  F = I + Grad u,
 
-plane strain or in three dimensions, psi an energy per referential volume, D a Newtonian stress.  Classes that
-inherit add forces.  The time scheme is the implicit midpoint rule.  The code shares no line with the package.
+plane strain or in three dimensions, psi an energy per referential volume, D a Newtonian stress. Derived
+classes add forces. The time scheme is the implicit midpoint rule. The code shares no line with the package.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ from ngsolve import (
 )
 
 _CONVERGED, _MOST = 1e-11, 60
-"""Largest norm of an increment over that of u that ends Newton's method, and its most iterations."""
+"""Ratio of the norms of increment and u below which Newton's method ends, and the largest number of its
+iterations."""
 
 
 def neo_hookean(bulk: float, shear: float) -> Callable[[CF], CF]:

@@ -23,7 +23,8 @@ DENSITY, BULK, SHEAR, VISCOSITY, GRAVITY = 1.0, 10.0, 10.0, 0.01, 1.0
 """kg/m^3, Pa, Pa (2 G_e), Pa s for bulk and shear alike, m/s^2."""
 _EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
 _CONVERGED, _MOST = 1e-10, 20
-"""Largest increment of u over the box that ends Newton's method, and its most iterations."""
+"""Largest increment of u in the box at which Newton's method ends, and the largest number of its
+iterations."""
 _TINY = 1e-30
 
 Blocks: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]

@@ -77,7 +77,7 @@ def wave(X: Sequence[Any], amplitude: Any, m: Any) -> Any:
 
 
 def tensor(identity: float, symmetric: bool) -> Field:
-    """identity * I plus a field whose ij entry vanishes on the walls normal to e_i and to e_j.
+    """The tensor ``identity`` I plus a field whose ij entry vanishes on the walls normal to e_i and to e_j.
 
     A symmetric tensor with identity = 1 is positive definite: a left Cauchy-Green tensor.
     """
@@ -120,7 +120,7 @@ def reciprocal(X: Sequence[Any], t: Any, m: Any) -> Any:
 
 
 def part(of: Field) -> Field:
-    """A share of a field, larger near one wall, for a body's density."""
+    """A share of a field for the density of a body; the share is larger near one wall."""
 
     def field(X: Sequence[Any], t: Any, m: Any) -> Any:
         value, factor = of(X, t, m), 0.3 * (1 + 0.5 * m.cos(PI * X[0]))

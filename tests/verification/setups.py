@@ -53,8 +53,8 @@ def fluid(bulk: float) -> nv.Material:
 
 
 def at_rest(stiffness: float, weight: CoefficientFunction) -> CoefficientFunction:
-    """F of hydrostatic rest in ``fluid(stiffness)``, the solution of J J' = rho_R g/K_e; ``weight`` is the
-    integral of rho_R g from the place where J = 1, Pa."""
+    """The distortion F of hydrostatic rest in ``fluid(stiffness)``, whose J solves J J' = rho_R g/K_e. The
+    argument ``weight`` is the integral of rho_R g from the place where J = 1, Pa."""
     return (1 + 2 / stiffness * weight) ** (1 / 6) * Id(3)
 
 

@@ -76,7 +76,7 @@ def test_coupled_rates_of_further_materials(kind: str) -> None:
 
 
 class WithoutTraction(Sources):
-    """Sources without the traction of the exact fields at a curved wall."""
+    """Sources that lack the traction of the exact fields at a curved wall."""
 
     def _through_walls(self, u: Fields, w: Fields) -> list[Integrand]:
         return []

@@ -1,4 +1,4 @@
-"""Impact and expansion of an elastic solid on a coarse strip; the verification case has a fine one."""
+"""Impact and expansion of an elastic solid on a coarse strip; the verification case has a fine strip."""
 
 import numpy as np
 import pytest

@@ -15,8 +15,8 @@ from tests.verification.setups import fluid, followed, layers
 CASES = Cases("Exact solutions: flow rules")
 
 # --- a shear band --------------------------------------------------------------------------------------
-"""``DruckerPrager`` does not dilate. Together with friction this makes the material unstable: it flows in a
-band from the seed to the free surface. The band's angle to the direction of the largest compression lies
+"""``DruckerPrager`` does not dilate. A material with friction and without dilatancy is unstable, and flows in
+a band from the seed to the free surface. The band's angle to the direction of the largest compression lies
 between 45 - phi/2 (Coulomb) and 45 (Roscoe 1970, no dilatancy). For its onset Rudnicki and Rice (1975) give
 
     45 - arcsin(a)/2,   a = ((2/3)(1 + nu)(beta + mu) - N (1 - 2 nu))/sqrt(4 - 3 N^2),
@@ -70,7 +70,8 @@ def load(run: nv.Simulation) -> float:
 
 
 def band(run: nv.Simulation) -> tuple[float, np.ndarray, float]:
-    """The band's angle, degrees, its place, m, and its rate over the median, at the heights ``AT``.
+    """The angle of the band, degrees, its place, m, and its strain rate divided by the median rate, at the
+    heights ``AT``.
 
     The place is the mean along the block with the weight |Pi|^4."""
     along = np.linspace(0, LENGTH, 801)[1:-1]

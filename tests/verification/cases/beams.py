@@ -31,8 +31,8 @@ DEFLECTION = DENSITY * THICK * GRAVITY * LENGTH**4 / (8 * FLEXURE)
 FREQUENCY, MEAN, AMPLITUDE = 1.0995, 63.607e-3, 65.160e-3
 """Published for CSM3: frequency, Hz; mean and amplitude, m. The tip swings by 65.160 mm about -63.607 mm."""
 SHARE = 1e-3
-"""Share of ``GRAVITY`` in runs on a mesh of the bar alone: through ``Open`` walls a bar may move by a small
-part of a cell only. The result is the limit of small deflections."""
+"""Share of ``GRAVITY`` that acts in runs on a mesh of the bar alone, because a bar may move through ``Open``
+walls by a small part of a cell only. The result is the limit of small deflections."""
 ROWS_OF_CELLS = (((9, 1), 0.02), ((18, 1), 0.02), ((18, 1), 0.01))
 """Cells along and across, of two triangles each, and step, s."""
 
@@ -96,8 +96,8 @@ def _free_bar() -> Measured:
 
 
 AIR, THIN = 1.0, {0.01: 0.01, 1.0: 0.05}
-"""Density of the medium, kg/m^3, and its viscosity, Pa s, by the share of the weight. Bar and medium have the
-same bulk modulus: with 1 kPa in the medium the first step's iteration stalls."""
+"""Density of the medium, kg/m^3, and its viscosity, Pa s, for each share of the weight. Bar and medium have
+the same bulk modulus, because the iteration of the first step stalls with 1 kPa in the medium."""
 BOX, ROWS = (0.45, 0.25), {0.01: (18, 25), 1.0: (12, 25)}
 UNTIL, STEP = 0.54, {0.01: 0.02, 1.0: 0.005}
 """End and step, s."""

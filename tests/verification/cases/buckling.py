@@ -6,13 +6,14 @@ A column of thickness h and density rho under the thrust P deflects as exp(s t) 
 
 where c = 1.  Shear and inertia of turning change s^2 by a few per cent.  Euler's load is the P of s = 0.
 
-The factor c, the share of the geometric stiffness, has two parts.  The thrust turns with the column, which
-gives the force P w'' across the column.  The thrust's stress also ends at each surface, and makes a couple
-there, whose force is -P w''.  In the true motion the strips of matter by which the surfaces move bear the
-thrust as well.  Their couple cancels the couple of the surfaces.  Between ``Open`` walls no surface moves, no
-strip exists, and c = 0.  If both surfaces are edges of cells, only the strips that leave cells of the column
-count, half of all: matter that enters a cell of the medium is less than a fifth of the cell's matter, and
-bears no stress (chi of FORMULATION.md, Section 9).  Then c = 1/2, until the deflection is a fifth of a cell.
+The factor c, which is the share of the geometric stiffness, is a sum of two effects. The thrust turns with
+the column, and exerts the force P w'' across the column. The stress of the thrust ends at each surface, and
+makes a couple there, which exerts the force -P w''. In the true motion the strips of matter by which the
+surfaces move bear the thrust as well. Their couple cancels the couple of the surfaces. Between ``Open`` walls
+no surface moves, no strip exists, and c = 0. If both surfaces are edges of cells, only the strips that leave
+cells of the column count, half of all: matter that enters a cell of the medium is less than a fifth of the
+cell's matter, and bears no stress (chi of FORMULATION.md, Section 9). Then c = 1/2, until the deflection is a
+fifth of a cell.
 """
 
 import math
@@ -94,10 +95,9 @@ def _column(load: float, speed: float, shift: float | None) -> nv.Simulation:
 
 
 def _deflecting(load: float, speed: float, shift: float | None) -> tuple[np.ndarray, np.ndarray]:
-    """Times in units of 1/sqrt(BENT), and the middle's velocity over the first one.
-
-    The velocity is half of the difference of two runs that start in opposite directions. This difference does
-    not contain the small forces of the cells' diagonals, which are the same in both runs."""
+    """Times in units of 1/sqrt(BENT), and the velocity of the middle divided by its first value. The velocity
+    is half of the difference of two runs that start in opposite directions. This difference does not contain
+    the small forces of the cells' diagonals, which are the same in both runs."""
     sign = np.array([1.0, -1.0])
     runs = [_column(load, s * speed, shift) for s in sign]
     height = 0.0 if shift is None else THICK * (1 + shift / CELLS[1])

@@ -129,8 +129,8 @@ PUBLISHED = {0.3: 123.193, 0.4: 120.596, 0.5: 118.836, 0.6: 117.775}
 """Published drag, N/m, by Wi (Hulsen, Fattal and Kupferman 2005)."""
 NEWTONIAN = 132.358
 LARGEST = 0.7, 117.357
-"""Wi and drag, N/m, of rheoTool's tutorial Cylinder/Oldroyd-BLog, from the guide that rheoTool's issue 36
-quotes. The reporter of the issue computed 117.649."""
+"""Wi and drag, N/m, of rheoTool's tutorial Cylinder/Oldroyd-BLog, as quoted from rheoTool's guide in its
+issue 36. The author of the issue computed 117.649."""
 SIZES = (1.6, 1.2, 1.0)
 """Sizes of cells of three meshes over those of ``half_channel``."""
 LENGTHS = (-4.0, -2.0, 4.0, 8.0)

@@ -113,8 +113,8 @@ upwards until ``PARTED``, s."""
 
 
 def _block(parts: bool) -> tuple[float, float, float]:
-    """The force of the wall over the weight, while the block is pressed and at the end, and the rise of the
-    block, m."""
+    """The force of the wall divided by the weight, while the block is pressed and at the end of the run, and
+    the rise of the block, m."""
     pulled = PULL * IfPos(nv.time - PRESSED - 0.5, 1.0, 2 * (nv.time - PRESSED))
     load = IfPos(nv.time - PRESSED, pulled, -IfPos(nv.time - 1, 1.0, nv.time))
     gas = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: LIGHT * (J - 1) * (J - 1) / J)

@@ -29,10 +29,10 @@ from tests.verification.setups import SWIRL, fluid, stokes
 CASES = Cases("Bodies and their interfaces")
 
 # --- two discs that meet -------------------------------------------------------------------------------
-"""All bodies share one velocity field, whose continuity keeps two bodies apart. Two bodies can part because
-the film of the medium between them opens again. Half a turn about the middle maps the mesh, and the motion,
-to itself: momenta and places of both discs are opposite to rounding, until limiters decide differently at a
-threshold.
+"""All bodies share one continuous velocity field, so that two bodies cannot penetrate each other. Two bodies
+can separate because the film of the medium between them opens again. Half a turn about the middle maps the
+mesh, and the motion, to itself: momenta and places of both discs are opposite to rounding, until limiters
+decide differently at a threshold.
 """
 
 SIZE, CELLS, RADIUS = (1.4, 0.8), (14, 8), 0.21
@@ -154,7 +154,8 @@ def _collision() -> Measured:
 
 
 # --- a quarter of both discs in a medium of one volumetric energy ---------------------------------------
-"""Where the medium has the discs' volumetric energy, amounts may overshoot, so that linear fields do."""
+"""The medium has the volumetric energy of the discs, so that the amounts may overshoot. Therefore the fields
+may be linear in the cells."""
 
 QUARTER, EMPTY, VISCOUS = (SIZE[0] / 2, SIZE[1] / 2), 1e-3, 4e-6
 """The quarter's size, m, and the density, kg/m^3, and the viscosity, Pa s, of its medium."""
@@ -308,8 +309,8 @@ energy is convex in X for each body, but not jointly convex.
 """
 
 MEETING, MET, WRONG, THROWN, LIGHTEST, SHORT = 0.04, 1.4, 0.2, 0.005, 1e-3, (6.25e-4, 3.125e-4)
-"""Discs that meet: step and end, s, by backward Euler; ends, s, of the control and of the midpoint rule;
-density of the medium, kg/m^3; steps, s, of the midpoint rule."""
+"""Numbers for discs that meet: step and end of the run by backward Euler, s; end of the control run and of
+the run by the midpoint rule, s; density of the medium, kg/m^3; steps of the midpoint rule, s."""
 
 
 _BOUNDS = """- largest rise in a step, backward Euler <= 1e-10: never, but for rounding and tolerance
@@ -344,7 +345,8 @@ def control() -> Iterator[None]:
 
 
 class Distances(nv.Observer):
-    """Sums the negative parts of phi(z_old) - phi(z) - phi'(z) : (z_old - z) over points and steps, J/m."""
+    """Observer that sums the negative parts of phi(z_old) - phi(z) - phi'(z) : (z_old - z) over points and
+    steps, J/m."""
 
     def start(self, simulation: nv.Simulation) -> None:
         self.negative, self._both = 0.0, _energy_and_slope(simulation)
@@ -403,8 +405,8 @@ def _stiff_in_soft(
 
 
 def translated(strained: str, scheme: Scheme = "backward-euler", tau: float = EULER) -> Balance:
-    """Energies, over the elastic excess, of two bodies carried through a periodic strip, one of them
-    stretched."""
+    """Balance of two bodies that are carried through a periodic strip. Energies are relative to the elastic
+    energy that the stretched body has at the start in excess of its energy at rest."""
     mesh = MakeStructured2DMesh(quads=False, nx=6, ny=1, periodic_x=True, mapping=lambda s, t: (s, t / 6))
     inside, is_stiff = (x - 0.25) * (0.75 - x), strained == "stiff"
     stretch = 1 + STRETCH * IfPos(inside, float(is_stiff), float(not is_stiff))

@@ -146,7 +146,7 @@ CASES.theme = "Exact solutions: rotation, Couette flow"
 
 
 def rotating(kind: str, h: float, steps: int) -> dict[str, float]:
-    """A quarter of a turn of a disc: L2 errors of v, over its norm, and of E or H."""
+    """L2 errors of v, relative to the norm of v, and of E or H after a quarter turn of a disc."""
     law = nv.LinearElastic if kind == "linearised" else nv.ReferentialNeoHookean
     model = nv.Model(material=law(K_e=10.0, G_e=5.0), viscosity=stokes(0.1), loads=(nv.Gravity((-x, -y)),))
     exact = CF((-y, x))

@@ -101,7 +101,7 @@ def _beside(other: nv.Thermal, bulk: float, rho: float) -> tuple[float, float]:
 
 
 def _stiffened() -> tuple[nv.Model, float]:
-    """Deviation from the isentrope of a wave in a stiffened gas, p + p_inf = Gamma c theta/J, at p = 0."""
+    """Deviation of a wave from the isentrope in a stiffened gas, p + p_inf = Gamma c theta/J, at p = 0."""
     Gamma, c, pressure = 3.4, 2.5, 3.4 * 2.5
     model = nv.Model(material=nv.Thermal(c=c, gruneisen=Gamma, theta_R=1.0, p_infinity=pressure))
     start = nv.Initial(density=1.0, velocity=(0.1 * sin(pi * x), 0.0))
@@ -322,7 +322,7 @@ def _heated_stream() -> Measured:
 K, N = 40.0, 0.6
 """A fluid's consistency, Pa s^n, and exponent."""
 G, A, M = 20.0, 1e-4, 3.0
-"""A body's G_e, Pa, and Norton's law's rate at 1 Pa, 1/s, and exponent."""
+"""G_e of a body, Pa; the rate of Norton's law at 1 Pa, 1/s; the exponent of Norton's law."""
 
 
 def _faster(theta: float) -> float:

@@ -17,10 +17,10 @@ CASES = Cases("Bodies and their interfaces")
 
 
 # --- topography between rock and light air instead of a free surface -----------------------------------
-"""The first case of Crameri et al. (Geophys. J. Int. 189, 38, 2012): 7 km of topography, a wave of 2800 km,
-on 100 km of lithosphere and 600 km of mantle relaxes as exp(-0.2139e-11 t/s), to 1/e in 14.8 kyr. The rate is
-the analytic one of these layers below a free surface. The air of the benchmark has no density; here it has a
-thousandth of the rock's density.
+"""In the first case of Crameri et al. (Geophys. J. Int. 189, 38, 2012), a wave of topography of 7 km, 2800 km
+long, on 100 km of lithosphere and 600 km of mantle, relaxes as exp(-0.2139e-11 t/s), to 1/e in 14.8 kyr. The
+rate is the analytic one of these layers below a free surface. The air of the benchmark has no density; here
+it has a thousandth of the rock's density.
 
 A cell that the surface cuts has the mean viscosity, weighted by fractions, so that a trace of rock makes the
 air in the cell stiff.  On cells of 100 km the surface has slowed down by a third at 5 kyr.
@@ -235,8 +235,8 @@ def mode(ratio: float, shear: float) -> tuple[float, CoefficientFunction]:
 def sloshing(
     rows: int, ratio: float, viscosity: float, speed: float, shear: float = 0.0
 ) -> tuple[np.ndarray, float, Curve]:
-    """Frequency, damping, number of rejected steps, and the projections of v on the initial velocity, over a
-    period."""
+    """Frequency, damping, number of rejected steps, and the projections of v on the initial velocity, for a
+    run of one period."""
     above, body = y - DEPTH, fluid(BULK)
     layer = nv.ReferentialNeoHookean(K_e=BULK, G_e=shear / 2) if shear else body
     bodies = (

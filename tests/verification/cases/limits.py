@@ -106,8 +106,8 @@ DURATION = 0.16
 
 
 def in_tau(kind: str) -> Measured:
-    """Differences of each run with tau, tau/2, ... from the next finer run, and the numerical dissipation of
-    each run."""
+    """Differences of the runs with tau, tau/2, ... from the run with the next smaller tau, and the numerical
+    dissipation of each run."""
     table, losses, _ = _halved(lambda tau: block(kind, tau, creep=2.0, gravity=1.0), (8, 16, 32, 64, 128))
     yield from table.lasts("last rate of {}")
     yield "last rate of the numerical dissipation", losses.last("inertial_and_bregman")

@@ -191,13 +191,14 @@ def _kept() -> Measured:
 RADIUS, ROWS, SPIN_STEP, SPUN = 0.25, 12, 0.02, 0.3
 """Radius, m; rows of cells along each side of the unit box; step, s; end, s."""
 LIGHT = 0.05
-"""Density, bulk modulus and viscosity of the medium over those of the disc."""
+"""Ratio of the medium's density, bulk modulus and viscosity to the disc's."""
 BULK, SHEAR, THICK = 50.0, 10.0, 1e-3
 """Bulk and shear modulus, Pa, and viscosity, Pa s, of the disc; its density is 1 kg/m^3."""
 
 
 def spinning_disc(m: int) -> tuple[nv.Simulation, float]:
-    """A run by the midpoint rule, and the angular momentum at its end over that at its start."""
+    """A run by the midpoint rule, and the ratio of the angular momentum at its end to the angular momentum at
+    its start."""
     X, Y = x - 0.5, y - 0.5
     r2, inner, outer = X**2 + Y**2, 0.3**2, 0.2
     fading = IfPos(r2 - inner, IfPos(outer - r2, 1.0, 0.0) * (outer - r2) / (outer - inner), 1.0)

@@ -162,9 +162,10 @@ REFERENCES = {
     "Basilisk": {1.0: 0.017347, 1.5: 0.014367, 2.0: 0.012883, 2.4: 0.012366},
     "Fattal and Kupferman": {1.0: 0.01708, 1.5: 0.01443, 2.0: 0.01306, 2.4: 0.01260},
 }
-"""Kinetic energy for density 1, J/m, by the time, s: in Basilisk's test lid-oldroydb (file lid-oldroydb.ref,
-64 x 64 cells without inertia), with the maximum 0.01808 J/m at 0.82 s, and in a curve of Fattal and
-Kupferman's paper, read off by Basilisk's authors (lid-oldroydb.kinetic), with the maximum 0.01781 J/m."""
+"""Kinetic energy for density 1, J/m, by the time, s, from two sources. The first source is Basilisk's test
+lid-oldroydb (file lid-oldroydb.ref, 64 x 64 cells without inertia), with the maximum 0.01808 J/m at 0.82 s.
+The second source is a curve of Fattal and Kupferman's paper, read off by Basilisk's authors (file
+lid-oldroydb.kinetic), with the maximum 0.01781 J/m."""
 
 
 def _under_lid(mesh: Mesh) -> nv.Simulation:

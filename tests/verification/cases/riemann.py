@@ -54,7 +54,8 @@ def stiffness(stretch: float) -> float:
 
 
 def star_of_impact(U: float) -> float:
-    """The stretch between two bodies that meet with the speed U each, rho = 1. One shock runs into each body.
+    """The stretch between two bodies of density 1 that meet, each with the speed U. One shock runs into each
+    body.
 
     [P] = -S [v] and [v] = -S [stretch] give U^2 = [P] [stretch].  As P'' < 0, also for stretches below 1,
     shocks compress and expansions are fans.
@@ -63,8 +64,8 @@ def star_of_impact(U: float) -> float:
 
 
 def star_of_expansion(U: float) -> float:
-    """The star state between two pieces that part with the speed U each. A fan runs into each piece, U = int
-    c dstretch."""
+    """The star state between two pieces that separate, each with the speed U. A fan runs into each piece, and
+    U = int c dstretch."""
 
     def excess(stretch: float) -> float:
         return float(quad(lambda s: math.sqrt(stiffness(s)), 1, stretch)[0]) - U

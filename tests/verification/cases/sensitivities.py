@@ -133,7 +133,8 @@ def errors(make: Make, name: str, p: float, scheme: str, solver: str) -> tuple[n
     """The largest error of the tangent for each width of differences, and the largest difference of the
     adjoint from the tangent.
 
-    Errors are relative to the derivative, or to a thousandth of the number over the parameter if larger.
+    Errors are relative to the derivative, or to a thousandth of the ratio of the number to the parameter, if
+    this is larger.
     """
     found = nv.gradient(make(p, scheme, solver), UNTIL, of=OF, by=[name])
     adjoint = nv.gradient(make(p, scheme, solver), UNTIL, of=OF, by=[name], method="adjoint")

@@ -109,7 +109,7 @@ TABLE = {
     1.0: (18.747691, 2.362833),
     2.0: (25.079664, 5.231418),
 }
-"""The stresses (tau_12, tau_11), Pa, by the time, s, after Farrington et al. 2014."""
+"""The stresses (tau_12, tau_11), Pa, by the time, s, from Farrington et al. 2014."""
 
 
 def sheared(

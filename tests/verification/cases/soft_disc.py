@@ -170,7 +170,7 @@ TURNED = 1.0
 
 
 def _strain_of_passive_disc(cells: tuple[int, int], sharp: bool) -> np.ndarray:
-    """Means of tr X - 3 n over a passive disc (without stress) below a lid that turns back, every 0.25 s."""
+    """Means of tr X - 3 n over a disc without stress below a lid that turns back, every 0.25 s."""
     solid = nv.IsochoricNeoHookean(K_e=50.0, G_e=5e-9, elastic_state="B")
     both: dict[str, Any] = {"viscosity": stokes(0.1), "density": 0.01}  # with this density the flow creeps
     disc = nv.Body(name="disc", where=nv.Ball((0.5, 0.7), 0.2), material=solid, **both)

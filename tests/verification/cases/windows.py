@@ -216,7 +216,8 @@ K_PLATE, G_PLATE, YEAR = 1e11, 5e10, 3.15576e7
 
 
 def _plate(eta: float, times: np.ndarray) -> np.ndarray:
-    """Heights of the lower and upper face at the crest of the load, over the load, m/Pa, at times in years.
+    """Heights of the lower and upper face at the crest of the load, divided by the load, m/Pa, at times in
+    years.
 
     Equal loads s cos(q x) on both faces of a layer move the faces by C a s, and opposite loads +-s cos(q x)
     by C c s (Airy 1863), where 1/C is the modulus of plane strain. In the Laplace transform, with the
@@ -296,8 +297,8 @@ REBOUND, BULK_OF_ROCK = 2 * np.pi, 100.0
 
 
 def _rebound(times: np.ndarray) -> np.ndarray:
-    """Sinking of a half-space under p cos(k x) since t = 0, over p/k, on springs of k Pa/m that stand for its
-    weight.
+    """Depth by which a half-space sinks under the load p cos(k x) since t = 0, divided by p/k, on springs of
+    k Pa/m that represent its weight.
 
     In the Laplace transform the surface has the stiffness 2 k mu (lambda + mu)/(lambda + 2 mu), with the mu =
     s/(1 + s) of Maxwell's body (Wu and Peltier 1982).
@@ -345,9 +346,9 @@ def _rebound_of_a_half_space() -> Measured:
 
 
 # --- a squeezed film --------------------------------------------------------------------------------------
-"""A viscous fluid between discs of distance h, the upper of which comes down with the speed V.  The flow
-v_r = 3 V r z (h - z)/h^3, v_z = -V (3 z^2/h^2 - 2 z^3/h^3) with the pressure p = -3 eta V r^2/h^3
-- 6 eta V z (h - z)/h^3 solves Stokes' equations for all h/R.  The mesh keeps its height, and fluid comes in
+"""A viscous fluid is between two discs of distance h, and the upper disc comes down with the speed V. The
+flow v_r = 3 V r z (h - z)/h^3, v_z = -V (3 z^2/h^2 - 2 z^3/h^3) with the pressure p = -3 eta V r^2/h^3 - 6
+eta V z (h - z)/h^3 solves Stokes' equations for all h/R. The mesh keeps its height, and fluid comes in
 through its upper side.
 """
 
@@ -355,7 +356,7 @@ FILM, DESCENT, VISCOSITY = 0.5, 0.1, 1.0
 
 
 def _film(of_wall: float = 1.0) -> tuple[float, float]:
-    """The force on the upper disc, and v_r in the film, each over its exact value."""
+    """The force on the upper disc and v_r in the film, each divided by its exact value."""
     h, V, eta = FILM, DESCENT, VISCOSITY
     grown = 1 - exp(-4 * nv.time)
     p = -3 * eta * V * (1 + 2 * y * (h - y)) / h**3
