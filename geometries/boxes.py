@@ -247,16 +247,17 @@ def structured_box(
 ) -> Mesh:
     """A box [0, size_1] x [0, size_2] (x [0, size_3]) of rows of cells, with the walls of ``box``.
 
-    Each rectangle of the grid is two triangles, or four if it is crossed, each cuboid six tetrahedra.  For
-    one-dimensional problems take a column that is one or two periodic cells wide.
+    Each rectangle of the grid is divided into two triangles, or into four if it is crossed. Each cuboid is
+    divided into six tetrahedra. For one-dimensional problems take a column that is one or two periodic cells
+    wide.
 
     Parameters
     ----------
     cells : as many whole numbers
         Number of rows of cells along each direction, >= 1.
     grading : mapping of directions to numbers from 1e-6 to 1e6, optional
-        Length of the last row over the first, by direction, from 1e-6 to 1e6, with a geometric sequence
-        between; by default 1.
+        Ratio of the last row's length to the first row's, by direction, from 1e-6 to 1e6; lengths between
+        form a geometric sequence; by default 1.
     crossed : bool
         Whether rectangles have both diagonals, in two dimensions.  With k = 1 and m = 0 rectangles with one
         diagonal lock if K is much larger than G.

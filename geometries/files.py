@@ -1,7 +1,7 @@
 """Meshes and geometries from files: Netgen's .vol, STEP and BREP, gmsh's .msh.
 
-Some truncated files make Netgen end the whole process.  So a separate process reads a file first, and this
-process only afterwards.
+Some truncated files make Netgen end the whole process. Therefore a separate process reads a file before this
+process does.
 """
 
 import warnings

@@ -268,10 +268,10 @@ def refine_walls(mesh: Mesh, names: Iterable[str], times: int = 1) -> Mesh:
 def refine_corners(mesh: Mesh, walls: Mapping[str, int]) -> Mesh:
     """Bisect the cells at the corners of the named walls, each as many times as ``walls`` says.
 
-    A corner is a vertex at which the wall meets another wall; identified boundaries are no walls.  Where a
-    moving lid meets a wall at rest the velocity along the lid jumps, and a computed one changes over a cell:
-    the lid is too short by as much.  Each bisection halves the cells at the corner.  The mesh is changed in
-    place, curved as before, and returned.
+    A corner is a vertex at which the wall meets another wall; identified boundaries are no walls. Where a
+    moving lid meets a wall at rest, the velocity along the lid jumps. The computed velocity changes over a
+    cell, as if the lid were shorter by a part of the cell. Each bisection halves the cells at the corner. The
+    mesh is changed in place, curved as before, and returned.
 
     Raises UnknownNameError for an unknown boundary; ParameterError unless the numbers are integers >= 0.
     """
@@ -337,9 +337,9 @@ def corner_cells(mesh: Mesh) -> list[int]:
 def split_corner_cells(mesh: Mesh) -> Mesh:
     """Divide each of the ``corner_cells`` at its midpoint into one cell for each facet (Alfeld).
 
-    In such a cell walls that hold the velocity prescribe all of grad v at the vertex; one more edge, into the
-    interior, makes div v free.  Other cells, walls, subdomains and identified boundaries stay unchanged.  The
-    mesh is changed in place; use the returned mesh, which is curved as before.
+    Walls that hold the velocity prescribe all of grad v at the vertex of such a cell. With one more edge,
+    into the interior, div v is free at the vertex. Other cells, walls, subdomains and identified boundaries
+    stay unchanged. The mesh is changed in place; use the returned mesh, which is curved as before.
 
     Raises MeshError for a distributed mesh, or for other cells than triangles, quadrilaterals and tetrahedra.
     """

@@ -158,7 +158,7 @@ class NgviscoWarning(UserWarning):
 
 
 class InputWarning(NgviscoWarning):
-    """Input may be meant otherwise than the model takes it; the message tells how, and what to change."""
+    """Input that may be meant differently from how the model takes it; the message says what to change."""
 
 
 class Quantity(NamedTuple):

@@ -182,7 +182,7 @@ _USES = {
     "sym": 2,
     "norm2": 2,
 }
-"""Number of times, at least, that the value of a function contains its arguments."""
+"""Least number of times that the value of a function contains its arguments."""
 
 
 class Evaluator:

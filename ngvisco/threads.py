@@ -74,8 +74,8 @@ class Workers:
     """Threads that share the parts of a mesh and work on arrays alone."""
 
     def __init__(self, threads: int | None = None, beside: int = 1) -> None:
-        """Start the threads; by default ``NGVISCO_THREADS``, or the processors over ``beside`` processes that
-        share them."""
+        """Start the threads. Their default number is ``NGVISCO_THREADS``, or the number of processors divided
+        by the number ``beside`` of processes that share them."""
         if threads is None:
             count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
             threads = int(os.environ.get("NGVISCO_THREADS", 0)) or max(1, count // beside)

@@ -1,4 +1,4 @@
-"""Words of messages that are data: names and values of Python, for which a case file has words of its own."""
+"""Names and values of Python in messages, kept as data because a case file has words of its own for them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -33,8 +33,8 @@ DROPPED = 3e-2
 takes no more iterations than with all entries."""
 
 _PARTS = 16
-"""Number of parts in which rows of fine functions are divided: entries of a part that are dropped take memory
-while the part is formed, and no longer."""
+"""Number of parts into which the rows of fine functions are divided. Entries that are dropped take memory
+only while their part is formed."""
 
 SWEEPS, SMOOTHED = 3, 8.0
 """Degree of the Chebyshev polynomial that smooths before and after the coarse problem, and the ratio of the
@@ -230,8 +230,8 @@ class TwoLevelSolver:
 
 
 def _drop_small(matrix: sp.csr_matrix, of_rows: np.ndarray, of_columns: np.ndarray) -> None:
-    """Remove, in place, entries below ``DROPPED`` times the product of their row's and column's sizes, the
-    square roots of diagonal entries."""
+    """Remove, in place, entries below ``DROPPED`` times the product of the sizes of their row and column. The
+    size of a row or column is the square root of its diagonal entry."""
     bound = np.repeat(DROPPED * of_rows, np.diff(matrix.indptr))
     bound *= of_columns[matrix.indices]
     matrix.data[abs(matrix.data) < bound] = 0.0

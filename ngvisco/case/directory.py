@@ -96,8 +96,8 @@ class RunDirectory:
             path.unlink()
 
     def keep_failure(self) -> None:
-        """Remove all files but the report of a run that made no step, so that the corrected case can run
-        here."""
+        """After a run that made no step, remove all its files but the report, so that the corrected case can
+        run here."""
         for path in self.results:
             path.unlink()
         for folder in (self.vtk, *(self.path / name for name in ("samples", "shapes", "laws"))):

@@ -228,9 +228,9 @@ def _mesh_of_first(case: Case, ranks: Communicator, make: Callable[[], Mesh]) ->
 def _check_times(
     case: Case, simulation: Simulation, until: float | None = None, *, is_new: bool = False
 ) -> None:
-    """Raise ParameterError for an end or output times at which no step ends, or for an end that has been
-    reached; CaseError if the end time is the one in the case.  The end of a new run is later than its
-    start."""
+    """Raise ParameterError for an end or an output time at which no step ends, and for an end that the run
+    has already reached. Raise CaseError instead if the end time is the end time of the case. The end of a new
+    run is later than its start."""
     end = case.until if until is None else simulation.stepper.met(until)
     with contextlib.nullcontext() if until is not None else case.locator.located("time"):
         if simulation.t > end * (1 + 1e-12) or (is_new and simulation.t >= end * (1 - 1e-12)):

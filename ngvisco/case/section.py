@@ -253,7 +253,7 @@ def given(sections: Any, key: tuple[str, ...]) -> Any:
 def reached(node: Any, path: tuple[str, ...], names: Sequence[str]) -> list[tuple[str, ...]]:
     """The keys to which names lead from ``node``; a name is a key, a member or the class of a table.
 
-    The search ends at the first name that is not found; without the first of ``names`` there is no key.
+    The search ends at the first name that is not found. If this is the first of ``names``, there is no key.
     """
     if not names:
         return []
@@ -352,9 +352,9 @@ def choice(
 ) -> Any:
     """The choice by the value of ``key`` among the sections of a table, which also have the keys of ``base``.
 
-    With ``has_default``, the first section needs no ``key``.  ``wrappers`` are kinds of which each may hold
-    a ``law`` of all kinds before it; ``of`` gives the types of further parameters that hold such laws.
-    Parameters in ``without`` are no keys.
+    With ``has_default``, the first section needs no ``key``. ``wrappers`` are kinds that hold a ``law``,
+    which may be of any kind before the wrapper. ``of`` gives the types of further parameters that hold such
+    laws. Parameters in ``without`` are no keys.
     """
     first = next(iter(table)) if has_default else None
 

@@ -236,10 +236,10 @@ def key_and_unit_of(
 ) -> tuple[str, str]:
     """The key and the SI unit of the number that a parameter of a run has in a case.
 
-    ``name`` is that of ``sensitivity.parameters``: a name may begin with a key of ``[rheology]``, and a body
-    may be called by its name.  The unit is empty for pure numbers and for names that are no key.  If a number
-    of the case is an exponent in the unit, as for a power law, the exponent is taken from ``numbers``, by the
-    number's key, or else from the case.
+    ``name`` is a name of ``sensitivity.parameters``; it may also begin with a key of ``[rheology]``, and
+    contain the name of a body in place of its index. The unit is empty for pure numbers and for names that
+    are no key. If a number of the case is an exponent in the unit, as for a power law, the exponent is taken
+    from ``numbers``, by the number's key, or else from the case.
     """
     at_front = name.partition(".")[0] in type(sections.rheology).model_fields  # type: ignore[attr-defined]
     names = (f"rheology.{name}" if at_front else name).split(".")

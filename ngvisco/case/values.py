@@ -29,7 +29,7 @@ class ValueKind:
     check : callable
         Returns the value, or raises ValueError if it is not of this kind.
     made : callable
-        Makes the object of a value, if it needs nothing but the value; else it returns the value.
+        Makes the object that a value describes; returns the value if the object needs more than the value.
     is_field : bool
         Whether the value is a number, or a function of place and time, or a table of functions by name.
     json : arguments

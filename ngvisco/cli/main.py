@@ -281,9 +281,9 @@ def _ended(options: argparse.Namespace) -> int:
 
 
 _OPTIONS = {"frames_per_second": "fps", "path": "movie"}
-"""Options of parameters with another name."""
+"""Options whose names differ from the names of their parameters."""
 _SPELLED = {"source": "from"}
-"""Spelling of options whose names are words of Python."""
+"""Spelling of options whose names are reserved words of Python."""
 
 
 def _in_options(error: Any, options: argparse.Namespace) -> object:

@@ -27,8 +27,8 @@ bounds of variables for which the material's energy is continued (``Material.con
 approximation, J_min), and, in a cell where phi'_z = 0, bounds of the variable z.  Bounds in
 ``Material.where_means_do`` count only in cells whose means satisfy them, so that they end no step.
 
-A cut-off adds the bound rho_max + width - rho > 0 (paper: Euler-small-est3+++), if the state with which the
-bounds are made, the run's start, keeps it.
+A cut-off adds the bound rho_max + width - rho > 0 (paper: Euler-small-est3+++), if the start of the run
+satisfies this bound.
 """
 
 from dataclasses import dataclass, replace
@@ -238,8 +238,8 @@ class Bounds:
         return f"the unknown {bad[0]!r} of the state is not a number somewhere" if bad else None
 
     def drift(self) -> str | None:
-        """Message that variables of one distortion differ by more than ``most`` in the mean of a cell. None
-        if no variables do, and for a run with sources, in which they may differ."""
+        """Message that variables of one distortion differ by more than ``most`` in the mean of a cell. The
+        result is None if no variables do, and in a run with sources, where the variables may differ."""
         self._outside()
         if self.step.sources is not None or not self._ranks.any(not self._farthest <= self.most):
             return None  # a mean has no larger drift than the points of its cell

@@ -35,7 +35,7 @@ from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.parameters import Parameter
 
 SHARE = 1e-2
-"""Least value of a bounded quantity at the points of a limited cell, over its value for the mean.
+"""Least value of a bounded quantity at the points of a limited cell, relative to its value for the mean.
 
 A cell is limited only if a bounded quantity is <= 0 at a point, not if the quantity is only below this share
 of the mean: a density that falls to zero along a line stays unchanged.
@@ -107,7 +107,7 @@ def least_of(values: np.ndarray, owner: np.ndarray, count: int) -> np.ndarray:
 
 
 SLACK = 1e-9
-"""Tolerated overshoot over the width of a range, which covers the error of an iteration."""
+"""Tolerated overshoot, relative to the width of a range; it covers the error of an iteration."""
 
 
 class Ranges:

@@ -18,7 +18,7 @@ from ngvisco.physics.mixture import Mixture
 LEAST = 1e-3
 """Fraction below which a cell does not contain a body."""
 _LEAST_DET = 0.05
-"""Least determinant of a tensor that is restored wholly, over its right value."""
+"""Least determinant, relative to its right value, of a tensor that is restored completely."""
 
 
 def quotients(amount: np.ndarray, X: np.ndarray, total: np.ndarray) -> np.ndarray:

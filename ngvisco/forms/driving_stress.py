@@ -11,10 +11,10 @@ the rule is (Yosida).  Newton's method for (z, Y) has in the equations of z, wit
 
     Pi = rate(M*) + S (M(z) - M*),
 
-and the increment dz gives Y = (M + M' dz) + c (Pi + S M' dz), from which M* follows point by point.  The
+and the increment dz gives Y = (M + M' dz) + c (Pi + S M' dz), from which M* follows point by point. The
 solution satisfies Pi = rate(M(z)) for any c > 0, in Pa s; c is tau times the stress per creep strain at rest.
-A factor of Pi is evaluated at the iterate where it multiplies S (M(z) - M*): in the matrix of (z, Y) its
-change multiplies rate(M*) only.
+Where a factor of Pi multiplies S (M(z) - M*), the factor is evaluated at the iterate, so that in the matrix
+of (z, Y) the change of the factor multiplies rate(M*) only.
 """
 
 from __future__ import annotations
@@ -57,7 +57,8 @@ class _State:
 
 
 class LinearisationStress:
-    """The stresses M* of a step's state for a model with collocated creep; false if no flow rule needs one.
+    """The stresses M* of a step's state for a model with collocated creep. The object is false if no flow
+    rule needs such a stress.
 
     Arrays are (mechanisms, points, components); arrays of z and zeta are (components, points).
     """

@@ -3,7 +3,7 @@
 Transport smears a jump of the amounts n_i over more and more cells. After each step
 (``Discretisation.sharp``) two moves separate bodies i and j in cells that contain no other body, and a third
 move restores determinants. No planes are placed in cells with more than two bodies, and none in cells that an
-interface passes within one step, which are lower than the strips swept through them. In cells with more than
+interface crosses within one step (cells lower than the strips swept through them). In cells with more than
 two bodies negative means are filled up too, and one factor for all slopes brings fractions into [0, 1].
 
 1. *Between cells.*  The step has carried the amounts F_i, F_j out of a cell through a facet.  At the start
@@ -79,8 +79,8 @@ _ROUNDING = 1e-12
 """An amount below this share of a cell's amounts counts as rounding, whose sign must have no effect."""
 FAR = 0.7
 """Largest strip that a step may sweep at an interface, in heights of its cell. After one turn the error of a
-disc over its area is 0.051, 0.071, 0.166 and 0.221 if the largest strip has 0.47, 0.59, 0.78 and 0.94 of its
-cell's height."""
+disc, relative to its area, is 0.051, 0.071, 0.166 and 0.221 if the largest strip has 0.47, 0.59, 0.78 and
+0.94 of its cell's height."""
 
 
 class Sharpening:

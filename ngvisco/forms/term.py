@@ -57,8 +57,8 @@ class Entry:
     """Whether a dissipation's integrand is nowhere negative; every step checks this. False if the sign holds
     only up to the projection of conjugates."""
     difference_of: Integrand | None = None
-    """The larger of two quantities whose difference the integrand is, if this difference may be small: the
-    integrand has the rounding of this quantity."""
+    """Quantity whose rounding error the integrand has. If the integrand may be a small difference of two
+    quantities, it is the larger of them."""
 
 
 @runtime_checkable

@@ -36,7 +36,8 @@ class Part:
 
 
 class Density(Part):
-    """Density or its trace: a part, or sum rho_i n_i if the variables are amounts of matter."""
+    """Density or its trace, which is an unknown of the step, or the sum of rho_i n_i if the variables are
+    amounts of matter."""
 
     def __get__(self, fields: UnknownValues, owner: type) -> CoefficientFunction:
         if self.name in fields.layout.unknowns:

@@ -65,7 +65,7 @@ class _Faster(FlowRule):
 
     @abstractmethod
     def factor(self, z: Values) -> Any:
-        """The rate over the rate of ``rule``, at a point with the values ``z``."""
+        """The ratio of the rate to the rate of ``rule``, at a point with the values ``z``."""
 
     @property
     def reads(self) -> frozenset[str]:  # type: ignore[override]
@@ -164,7 +164,7 @@ class WLF(_Faster):
 
 @dataclass(frozen=True, kw_only=True)
 class ActivatedViscosity(_Activation, Viscosity):
-    """A viscosity over a = exp(E/(R theta_R) - (E + p V)/(R theta)) (Arrhenius, Andrade).
+    """A viscosity divided by a = exp(E/(R theta_R) - (E + p V)/(R theta)) (Arrhenius, Andrade).
 
     With V the viscosity grows with the pressure like exp(V p/(R theta)), which is the law of Barus (1893).
     Raises ParameterError if a parameter is out of its range.

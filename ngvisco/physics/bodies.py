@@ -190,9 +190,9 @@ class Parting:
     bodies.
 
     In a cell with the interface's normal n, body i has the strain rate D_i = D - o_i opening(D, n x n): its
-    own share of a change of volume along n, and of shear across n, is r_i = 1 - o_i.  r_i is the compliance
-    1/K_i at rest over the mean sum theta_j/K_j: the bodies have one pressure, so that r_i is the body's share
-    of the change of volume.
+    own share of a change of volume along n, and of shear across n, is r_i = 1 - o_i. r_i is the compliance
+    1/K_i at rest divided by the mean sum theta_j/K_j: the bodies have one pressure, so that r_i is the body's
+    share of the change of volume.
     """
 
     stiffnesses: tuple[tuple[str, float], ...]

@@ -326,7 +326,7 @@ def _weakest_directions(response: Response, states: np.ndarray, strains: np.ndar
 def _worst_bregman(
     sampling: StateSampling, at_a: Response, states: np.ndarray, increments: Sequence[np.ndarray]
 ) -> tuple[int, float, tuple[np.ndarray, np.ndarray] | None]:
-    """Number of pairs, most negative Bregman distance over |b - a|^2 (or 0), and its pair (a, b - a).
+    """Number of pairs, most negative Bregman distance divided by |b - a|^2 (or 0), and its pair (a, b - a).
 
     The first state a of every pair is one of ``states``, which have the response ``at_a``.
     """
@@ -336,7 +336,7 @@ def _worst_bregman(
 
     def bounds(components: CoefficientFunction) -> CoefficientFunction:
         """Functions that are > 0 where the energy has to be convex: J, the minors of B, ...; det F is left
-        out, as its positive set is not convex."""
+        out, because the set of F with det F > 0 is not convex."""
         z = sampling.space.tensors(lambda: components)
         variables = (v for v in material.variables if v.kind != "full" and v.name not in material.continued)
         return CF((1.0, *(value for v in variables for value in v.positive(z[v.name]).values())))

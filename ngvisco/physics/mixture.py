@@ -232,7 +232,7 @@ class Mixture(Material):
         n, total = self.amounts(z), self.fractions.total(z)
 
         def above(share: float, sizes: Sequence[float]) -> Any:
-            """The sum of size_i n_i over the least size, less ``share`` times N."""
+            """The sum of size_i n_i divided by the least size, minus ``share`` times N."""
             pairs = zip(sizes, n.values(), strict=True)
             return reduce(add, ((size / min(sizes) - share) * amount for size, amount in pairs))
 

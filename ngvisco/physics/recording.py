@@ -173,7 +173,7 @@ class Program:
             self._forget()
 
     def _forget(self) -> None:
-        """Free the data, which the next call reads again."""
+        """Free the data; the next call reads the data again."""
         for place in self._of_data:
             self._values[place] = None
         self._has_begun = False

@@ -140,7 +140,7 @@ _SPREAD = 0.2
 """The spread of the sampled states in the test for linear directions."""
 
 _ZERO = 1e-10
-"""Size of an entry of phi'' below which it counts as zero, over the largest entry."""
+"""Size of an entry of phi'', relative to the largest entry, below which the entry counts as zero."""
 
 
 @dataclass(frozen=True)

@@ -289,7 +289,7 @@ class LinearViscosity(Viscosity):
 
     @property
     def K_v(self) -> float:
-        """Bulk viscosity of the isotropic part, Pa s: the mean normal stress of eps = I over tr eps."""
+        """Bulk viscosity of the isotropic part, Pa s: the mean normal stress of eps = I divided by tr eps."""
         return float(self.mandel[:3, :3].sum()) / 9
 
     @property
@@ -319,7 +319,7 @@ _BASIS = symmetric_tensors(3).columns[:, [0, 3, 5, 4, 2, 1]]
 """Mandel's orthonormal basis of symmetric tensors, (9, 6): 11, 22, 33, 23, 13, 12."""
 
 _TOLERANCE = 1e-12
-"""Tolerance for symmetry and eigenvalues, over the largest entry; it admits rounding in the input."""
+"""Tolerance for symmetry and eigenvalues, relative to the largest entry; it admits rounding in the input."""
 
 
 def full_tensor(mandel: np.ndarray) -> np.ndarray:

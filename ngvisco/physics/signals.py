@@ -21,7 +21,7 @@ time = Parameter(0.0)
 
 _PLACES = (0.1, 0.35, 0.6, 0.9)
 _NUMBER = re.compile(r"[+-]?\.?\d|[+-]?(nan|inf)", re.IGNORECASE)
-"""How a number begins."""
+"""Pattern of the beginning of a number."""
 
 
 def reads_time(function: CoefficientFunction) -> bool:

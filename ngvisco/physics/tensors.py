@@ -311,7 +311,7 @@ def tensor_space(kind: str, dim: int) -> TensorSpace:
 
 
 _SPREAD = 1e-6
-"""Error of a closed form for eigenvalues, over the tensors' size: fifty times the error near a double
+"""Error of a closed form for eigenvalues, relative to the tensors' size: fifty times the error near a double
 eigenvalue."""
 
 

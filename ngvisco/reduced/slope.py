@@ -52,8 +52,8 @@ class PointwiseSlope:
         self.response = step.tabulated_rates.response
         self._has_own_response = material.response(step.mesh.dim) is not None
         self.arrays = self.curving = None
-        """The slope as a function of arrays, and that of the energy's part with curvature by the components
-        ``_read``, if the energy is an array law, else None."""
+        """Functions of arrays for the slope, and for the slope of the energy's part with curvature by the
+        components ``_read``; None unless the energy is an array law."""
         self._read = every
         if isinstance(self.response, ArrayResponse):
             self.arrays, self.curving = self.response.slope, self.response.slope_of_part

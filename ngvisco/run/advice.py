@@ -72,7 +72,7 @@ class Scales:
     extent: float = 0.0
     """Longest edge of the bounding box, m, which waves have to cross; 0 stands for ``length``."""
     weight: float = 0.0
-    """The largest load over the modulus of longitudinal waves, rho g L/(rho c^2)."""
+    """Ratio of the largest load to the modulus of longitudinal waves, rho g L/(rho c^2)."""
     overstress: float = 0.0
     """Ratio of the stress's viscous part and the yield stress at the rate velocity/length."""
     floors: Mapping[str, tuple[float, float]] = field(default_factory=dict)

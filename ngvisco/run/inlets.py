@@ -14,8 +14,8 @@ from ngvisco.physics.material import rest_stress_and_modulus
 from ngvisco.physics.tensors import square, sym
 
 _MATTERS = 0.01
-"""Shares above which a run warns: of all powers, lost by entering matter, and of the mass, entered with an
-undetermined density."""
+"""Shares above which a run warns: the share of all powers that entering matter loses, and the share of the
+mass that has entered with an undetermined density."""
 _FILLED = 0.2
 """Stresses are compared after this share of the mass has come in, because before this the stress inside is
 that of the start."""

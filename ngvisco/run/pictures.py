@@ -25,7 +25,7 @@ FORMATS = ("png", "pdf", "svg")
 _LEVEL = 1e-10
 """Relative variation below which a quantity is drawn as constant."""
 _COLOURS, _SHRINK = "viridis", 0.75
-"""The scale of colours, and its length over the height of its axes."""
+"""The scale of colours, and the ratio of the scale's length to the height of its axes."""
 _PIECES, _DRAWN = 6, 200_000  # largest numbers: parts of a triangle's side, and triangles of a picture
 # two percentiles; a range between them below this share of the whole range shows a spike
 _USUAL, _SPIKE = (0.5, 99.5), 0.3

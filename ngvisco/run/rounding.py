@@ -38,8 +38,8 @@ def rounding(step: Step, sampler: Sampler, tau: float) -> float:
 def heat(step: Step, s: float | None = None) -> float:
     """int theta |s|, the size of the heat above the reference temperature, J; 0 without heat.
 
-    The heat of warm and of cold places cancels in the energy, while errors of an iteration do not cancel.
-    ``s`` is a constant entropy, by default the present field.
+    The heat of warm places and the heat of cold places cancel in the energy, while errors of an iteration do
+    not cancel. ``s`` is a constant entropy, by default the present field.
     """
     entropy = entropy_in(step.model.material)
     if entropy is None:

@@ -64,7 +64,7 @@ class Signs:
         self._step, self._sampler, self._warn, self._cause = step, sampler, warn, cause
         entropy, volume = entropy_in(step.model.material), step.quadrature.integrate_cells(CF(1.0))
         self._capacity = 0.0 if entropy is None else entropy.unit * float(volume)
-        """Size of the entropy, J/K, by which rounding counts where the entropy is zero."""
+        """Scale of the entropy, J/K, that rounding is compared with where the entropy is zero."""
         self._productions = [entry.name for entry in entries if entry.name.startswith(PRODUCTION)]
         self._nearly: list[str] = []
         """Columns whose sign is certain only up to the error of the projection of conjugates."""

@@ -50,7 +50,7 @@ from ngvisco.timestepping.scheme import TimeScheme, midpoint, scheme_of
 _ROUNDING, _NEAR = 1e-9, 1e-3
 
 SAFETY = 0.9
-"""Error that the controller aims at, over the tolerance."""
+"""Error that the controller aims at, relative to the tolerance."""
 
 INTEGRAL, PROPORTIONAL = 0.7, 0.4
 """Exponents of the PI controller, times the order of the local error."""

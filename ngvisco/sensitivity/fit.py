@@ -53,14 +53,14 @@ class Fit:
         Time (s) of each datum, its measured value, its value in the run with the fitted parameters, and
         its standard deviation.
     misfit : float
-        Half the sum of squares of the residuals over their standard deviations.
+        Half the sum of squares of the residuals divided by their standard deviations.
     reduced : float
-        Twice the misfit over the number of data minus the number of parameters: near one if the model and
-        the standard deviations are right; one by definition if standard deviations were estimated.
+        Twice the misfit, divided by the number of data minus the number of parameters: near one if the model
+        and the standard deviations are right; one by definition if standard deviations were estimated.
     runs : int
         Number of runs, each with its derivatives.
     cost : float
-        Time of the whole fit over the time of the last run alone.
+        Ratio of the time of the whole fit to the time of the last run alone.
     message : str
         Reason for the end of the search.
     """
@@ -348,7 +348,7 @@ class _Search:
         return (outcome.values - data) / sigma
 
     def residuals(self, q: np.ndarray) -> np.ndarray:
-        """Residuals over standard deviations; infinite if the run has no solution."""
+        """Residuals divided by standard deviations; infinite if the run has no solution."""
         result = self._at(q)
         return np.full(len(self.of), np.inf) if result is None else self._residuals(result)
 

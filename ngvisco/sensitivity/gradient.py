@@ -38,7 +38,7 @@ class Gradient:
     values : array, (numbers,)
         Values in the units of the columns.
     jacobian : array, (numbers, parameters)
-        Derivatives in the units of the columns over units of the parameters.
+        Derivatives in the units of the columns divided by the units of the parameters.
     at : array, (parameters,)
         Values of the parameters.
     limited : int
@@ -233,7 +233,7 @@ def gradient(
 def numbers_of(
     of: Sequence[str] | Mapping[str, str | Misfit], until: float, simulation: Simulation
 ) -> Numbers:
-    """The numbers that ``of`` names."""
+    """The numbers in the argument ``of`` of ``gradient``."""
     return Numbers.of(of, until, simulation.t, simulation.ledger.momentum.balances)
 
 

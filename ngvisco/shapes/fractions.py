@@ -62,8 +62,8 @@ def fractions(mesh: Mesh, shapes: Sequence[HasLevel], order: int = 1) -> list[Gr
     Returns
     -------
     list of GridFunction
-        Discontinuous P_order fractions of the shapes and, last, of the rest, which sum to one.  Values are in
-        [0, 1]; for order 2 they are so at the sub-cells' corners, and elsewhere to 1e-4.
+        Discontinuous P_order fractions of the shapes and, last, of the rest, which sum to one. Values are in
+        [0, 1]. For order 2, values between the corners of sub-cells may leave [0, 1] by 1e-4.
     """
     powers = _powers(mesh.dim, order)
     coefficients = np.zeros((len(shapes) + 1, len(powers), mesh.ne))
@@ -147,8 +147,8 @@ def _layered(shares: np.ndarray) -> np.ndarray:
 def share_of_simplex(levels: np.ndarray) -> np.ndarray:
     """Share of a simplex in which the linear function with given ``levels`` at its vertices is positive.
 
-    If all levels have the same modulus, they tell the side of each vertex and no distance; the result is then
-    the share of positive vertices. ``levels`` are (..., 3) or (..., 4), shares (...).
+    If all levels have the same modulus, the levels give the side of each vertex but no distance; the result
+    is then the share of positive vertices. ``levels`` are (..., 3) or (..., 4), shares (...).
     """
     values = np.sort(levels, axis=-1)
     count = np.sum(values > 0, axis=-1)

@@ -67,7 +67,8 @@ class Places:
 
     @cached_property
     def spacing(self) -> np.ndarray:
-        """Longest edge of sub-cells in each point's cell, without sub-cells the cell's box diagonal, m."""
+        """Longest edge of the sub-cells in each point's cell, m; without sub-cells, the diagonal of the
+        cell's box."""
         places = self.coordinates.reshape(len(self.cells), len(self.reference), self.mesh.dim)
         if self.pieces is None:
             longest = np.linalg.norm(np.ptp(places, axis=1), axis=1)

@@ -34,9 +34,9 @@ from ngvisco.solver.problem import BlockNorm, NewtonIteration, Problem, Solution
 NOISE_SAMPLES, NOISE_MARGIN, NOISE_CAP = 2, 10.0, 100.0
 """Number of perturbations of the state by which the noise is measured; margin; and cap, in tolerances. The
 noise is the largest change of the increment under these perturbations. A stalled increment is accepted if it
-is below the margin times the noise, and below the cap in the norm with the coarse floor, by which a velocity
-that comes to rest counts by the strain that it makes; the margin is needed because increment and noise are
-random."""
+is below two limits. One limit is the margin times the noise; the margin is needed because increment and noise
+are random. The other limit is the cap, for the norm with the coarse floor: in this norm a velocity that comes
+to rest counts by the strain that it makes."""
 NEAR = 10.0
 """A stalled increment below this number of tolerances is accepted without a measurement of the noise: the
 rounding of a stiff pressure may change a slow velocity by as much."""

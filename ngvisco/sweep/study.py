@@ -181,7 +181,8 @@ class Study:
         Parameters
         ----------
         workers : int, optional
-            Number of simultaneous runs on this machine; by default its processors over ``threads``.
+            Number of simultaneous runs on this machine; by default the number of its processors divided by
+            ``threads``.
         threads : int
             Number of threads of each run.
         scheduler : str, optional

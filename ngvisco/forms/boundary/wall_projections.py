@@ -42,8 +42,8 @@ from ngvisco.physics.tensors import inner
 
 _REDUCTION, _CORRECTIONS, _ITERATIONS = 1e-9, 4, 1000
 _ROUNDING, _ENOUGH = 3e-16, 1e-13
-"""Target of the residual relative to <m, .>, and the largest accepted residual, which enters the energy's
-closure."""
+"""Residual relative to <m, .> at which the iteration ends, and the largest residual that is accepted. The
+residual enters the closure of the energy."""
 
 
 class WallProjection:

@@ -259,7 +259,7 @@ class MovingWalls:
         """Coefficients of a velocity on a wall, or of the velocity's tangential part if nothing crosses the
         wall.
 
-        Raises ParameterError for a normal part of the velocity on such a wall.
+        Raises ParameterError for a normal part of the velocity on a wall that nothing crosses.
         """
         mesh, region = self.walls.mesh, self.walls.region([name])
         if name not in self.walls.crossed:

@@ -124,7 +124,7 @@ def _on_wall(mesh: Mesh, point: np.ndarray, name: str) -> Any:
 
 
 def nearest_wall(mesh: Mesh, point: np.ndarray) -> tuple[str | None, float]:
-    """The boundary nearest to ``point``, (dim,), m, and its distance, m, with straight facets.
+    """The boundary nearest to ``point``, (dim,), m, and its distance, m; facets count as straight.
 
     The result is (None, inf) for a mesh without boundary.  Ranks search the whole mesh; collective.
     """

@@ -168,7 +168,8 @@ def _look(
     name: str = "a function",
     value: object = None,
 ) -> None:
-    """Raise ParameterError unless a function is finite and has its sign on a wall at the time ``t``."""
+    """Raise ParameterError unless a function is finite and has the required ``sign`` on a wall at the time
+    ``t``."""
     values = values_on(step.walls.region([wall]), function, _DEGREE)
     ranks = Communicator.of(step.mesh)
     if not ranks.all(np.isfinite(values).all()):

@@ -58,7 +58,8 @@ from ngvisco.physics.tensors import if_positive
 _ROUNDS, _STEPS = 100, 60
 """Largest numbers of iterations of the density, and of Newton steps for the volume."""
 _CONVERGED = 1e-12
-"""Change of J over its largest value at which the iterations end, those of the density and Newton's for J."""
+"""Change of J, relative to the largest J, at which the iterations for the density and Newton's iterations for
+J end."""
 _FACTOR = 4.0
 """Largest factor of J in an iteration of the density.  If matter is too dense at first, its weight exceeds
 the pressure at the ground.  The pressures aloft are then negative and have no J, until the matter has

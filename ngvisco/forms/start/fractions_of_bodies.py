@@ -22,12 +22,13 @@ from ngvisco.shapes.shape import Shape
 from ngvisco.shapes.shape import as_shape as as_place
 
 _OVERLAP = 1e-3
-"""The overlap, over the volume of the smaller of two bodies, below which the bodies only touch."""
+"""The overlap, relative to the volume of the smaller of two bodies, below which the bodies count as
+touching."""
 _COVERED = 1e-10
 """The share of the volume of the domain or of a cell below which uncovered volume is rounding."""
 _OFF = 1e-4
-"""Largest admitted difference of a given tensor's determinant from its right value, over the largest right
-value."""
+"""Largest admitted difference of a given tensor's determinant from its right value, relative to the largest
+right value."""
 _DEGREE = 6
 """Degree of the rule whose points on walls are checked."""
 

@@ -10,10 +10,11 @@ addition: 2 G_v e_f = 2 G_v e + M. So
 
     e = D - Pi,   Pi = S M/(2 G_v),
 
-which has the form of a creep rate.  Its power M : Pi >= 0, with the weight 1 - S, is what the two rates
-dissipate more than one rate D does.  In a step of length tau Pi is divided by 1 + S k tau/(2 G_v), 2 k the
-stress per creep strain: a thin film relieves M in the step, by the midpoint rule to zero and not beyond it.
-Without this rate the body's part of the cell is sheared like the film, and drags the wall along.
+which has the form of a creep rate. Its power M : Pi >= 0, with the weight 1 - S, is the dissipation of the
+two rates in excess of the dissipation of one rate D. In a step of length tau, Pi is divided by
+1 + S k tau/(2 G_v), 2 k the stress per creep strain: a thin film relieves M in the step, by the midpoint rule
+to zero and not beyond it. Without this rate the body's part of the cell is sheared like the film, and drags
+the wall along.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ from ngvisco.physics.variables import INTERFACE, STEP, Values
 
 @dataclass(frozen=True, kw_only=True)
 class Films(FlowRule):
-    """Pi = sum S_f/(2 G_v) of the shear of M across the interface, f the fluids and S_f = chi_f theta_f."""
+    """Pi = sum_f S_f/(2 G_v) times the shear of M across the interface, with fluids f and S_f = chi_f
+    theta_f."""
 
     fluids: tuple[tuple[str, StokesViscosity], ...]
     """Pairs of a fluid's name and its viscosity; the shear viscosity G_v is positive."""

@@ -168,15 +168,15 @@ class FlowRule(Checked, ABC):
         return self.nu * power_of_square(s, 0.5 * (self.q - 2), self.floor)
 
     def overstress(self, rate: float, z: Values) -> float:
-        """The overstress at |Pi| = ``rate``, 1/s, over the yield stress; 0 for a rule without a yield stress.
+        """The ratio of the overstress at |Pi| = ``rate``, 1/s, to the yield stress; 0 for a rule without one.
 
         ``z`` are arrays of one point; a strength that depends on pressure is taken at p = 0.
         """
         return 0.0
 
     def relaxation_time(self, shear: float, z: Values) -> float:
-        """The elastic strain over the creep rate of its stress, s, for a shear strain ``SMALL_STRAIN``;
-        ``inf`` without creep.
+        """The ratio of an elastic shear strain, ``SMALL_STRAIN``, to the creep rate of its stress, s; ``inf``
+        without creep.
 
         ``shear`` is the shear modulus G, Pa; ``z`` are arrays of one point.
         """

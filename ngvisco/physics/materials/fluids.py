@@ -148,7 +148,7 @@ class OldroydB(ContinuedInJ):
         return referential_volume(self.K_e, 0.0, 1.0, z["J"], self.J_min) + self.G_e * self.chains(z["B"])
 
     def chains(self, B: Tensor) -> Tensor:
-        """The energy of the chains over G_e."""
+        """The energy of the chains divided by G_e."""
         return tr(B) - log_det(B) - 3
 
 

@@ -143,7 +143,7 @@ class PerMass(PerReferentialVolume):
 
 
 _ROUNDING = 1e-9
-"""Largest second derivative that counts as rounding, over the largest second derivative."""
+"""Size, relative to the largest second derivative, up to which a second derivative counts as rounding."""
 _VOLUMES = np.linspace(0.5, 2.0, 31)
 """The values of J at which volumetric energies are compared."""
 

@@ -77,10 +77,11 @@ class Thermal(Material):
     """A material with a temperature: phi(z, s) is its internal energy, and theta = d phi/d s.
 
     With ``expansion`` the thermal pressure is Gamma c (theta - theta_R) with Gamma c = K ``expansion``, where
-    K is the (isothermal) bulk modulus at rest of the material without heat.  With ``gruneisen`` the thermal
-    pressure is Gamma c theta/J.  Without another material this is an ideal gas with the adiabatic exponent 1
-    + Gamma; less ``p_infinity`` it is a stiffened gas, a model of liquids.  Raises ParameterError if a
-    parameter is out of its range, parameters contradict one another, or the material has heat already.
+    K is the (isothermal) bulk modulus at rest of the material without heat. With ``gruneisen`` the thermal
+    pressure is Gamma c theta/J. Without another material this is an ideal gas with the adiabatic exponent 1 +
+    Gamma. With ``p_infinity`` it is a stiffened gas, a model of liquids, whose pressure is lower by
+    ``p_infinity``. Raises ParameterError if a parameter is out of its range, parameters contradict one
+    another, or the material has heat already.
 
     Example::
 

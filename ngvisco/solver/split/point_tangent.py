@@ -42,7 +42,7 @@ class _AtPoints:
     """K, (points, n, n)."""
 
     def __init__(self, residual: ReducedResidual, terms: CellTerms, asked: list[PointTerm]) -> None:
-        """``asked``: the terms whose stresses or rows of z depend on z."""
+        """``asked`` are the terms whose stresses or rows of z depend on z."""
         self.residual, self.terms, self.op, self._asked = residual, terms, terms.op, asked
         self.components = residual.step.layout.states.size
         self.slope = PointwiseSlope(residual.step, self.op.points)

@@ -228,8 +228,8 @@ class Split:
     def _is_worn(self, size: float) -> bool:
         """Whether the increment of length ``size`` shows that its tangent, which is an old one, is outdated.
 
-        An increment by a new tangent does not show it: the contraction so far was that of the tangent
-        before."""
+        An increment by a new tangent does not show this, because the contraction so far belongs to the
+        tangent before."""
         slow = self._stale and not self.is_steep  # steep rules renew the operator alone
         end = self.options.split.margin * self.options.tolerance
         return not self.is_fresh and size > 1e3 * end and (slow or self.wear.is_dear(size / end))

@@ -41,8 +41,8 @@ class Wear:
         self._beyond += max(directions - self._first, 0)
 
     def rate(self, contraction: float, is_new: bool) -> None:
-        """Note the contraction by the tangent, which was new or old when the increment before was made; 0 for
-        a step's first increment."""
+        """Note the contraction by the tangent, 0 for a step's first increment. ``is_new`` tells whether the
+        tangent was new when the preceding increment was made."""
         if is_new and contraction > 0:
             self._new = contraction
         self._present = contraction
