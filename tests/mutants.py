@@ -178,13 +178,13 @@ MUTANTS = [
             "traction",
             "return _tangential(u.context.average(self.f, self.region), u.context.normal)",
             "return -_tangential(u.context.average(self.f, self.region), u.context.normal)",
-            SIGNS + "test_friction_brakes_and_a_traction_pulls",
+            SIGNS + "test_friction_slows_matter_down_and_a_traction_pulls_it",
         ),
         (
             "friction",
             "parts.append(self.indicator * self.friction * (_tangential(u.v, u.context.normal) * w.v))",
             "parts.append(-self.indicator * self.friction * (_tangential(u.v, u.context.normal) * w.v))",
-            SIGNS + "test_friction_brakes_and_a_traction_pulls",
+            SIGNS + "test_friction_slows_matter_down_and_a_traction_pulls_it",
         ),
         (
             "carried momentum",
@@ -235,7 +235,7 @@ MUTANTS = [
             "damping of the velocity",
             "return [self.law.friction(square(u.v)) * inner(u.v, w.v)]",
             "return [-self.law.friction(square(u.v)) * inner(u.v, w.v)]",
-            SIGNS + "test_damping_of_the_velocity_brakes",
+            SIGNS + "test_damping_of_the_velocity_slows_matter_down",
         ),
     ),
     *_of(
@@ -484,7 +484,7 @@ MUTANTS = [
             "first invariant by F",
             'else z["J"] ** (-2 / 3) * square(z["F"])',
             'else z["J"] ** (-1 / 3) * square(z["F"])',
-            "tests/physics/test_material_laws.py::test_neo_hookean_stress_is_the_paper_s",
+            "tests/physics/test_material_laws.py::test_the_neo_hookean_stress_equals_the_stress_of_the_paper",
         ),
         (
             "factor of Mooney and Rivlin",
@@ -624,7 +624,7 @@ MUTANTS = [
             "room of an absent body",
             "lowered > _ROUNDING * size[:, None]",
             "lowered > 0 * size[:, None]",
-            SHARP + "test_the_sign_of_an_absent_body_s_rounding_does_not_change_the_planes",
+            SHARP + "test_the_sign_of_the_rounding_error_of_an_absent_body_does_not_change_the_planes",
         ),
         (
             "cells that a step passes",
@@ -828,13 +828,13 @@ MUTANTS = [
             "rows of components that branches share",
             "0.0 if taken[here.start] else rows",
             "0.0 if False else rows",
-            "tests/solver/test_branches.py::test_a_cell_is_inverted_branch_by_branch",
+            "tests/solver/test_branches.py::test_the_matrix_of_a_cell_is_inverted_branch_by_branch",
         ),
         (
             "sum of branches in components that they share",
             "result[..., here] += product[..., there]",
             "result[..., here] = product[..., there]",
-            "tests/solver/test_branches.py::test_a_cell_is_inverted_branch_by_branch",
+            "tests/solver/test_branches.py::test_the_matrix_of_a_cell_is_inverted_branch_by_branch",
         ),
         (
             "number of terms of a resolvent's series",

@@ -49,7 +49,7 @@ def test_a_directory_without_a_run_is_refused(tmp_path):
         nv.load(file)
 
 
-def test_a_first_step_without_solution_leaves_only_its_report(tmp_path, monkeypatch):
+def test_a_run_whose_first_step_has_no_solution_leaves_only_a_report(tmp_path, monkeypatch):
     """The corrected case can then run in the same directory."""
     loaded = nv.load_case(DEMOS / "couette" / "couette.toml", ["domain.maxh=0.7"])
     case = nv.load_case(loaded.source, ["domain.maxh=0.7", f"time.until={loaded.sections.time.dt!r}"])

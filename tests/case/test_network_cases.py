@@ -73,7 +73,7 @@ def test_a_network_of_a_case_equals_the_network_of_a_script_and_is_resumed_bit_f
     assert on.fields[field](on.mesh(0.3, 0.4)) == whole.fields[field](whole.mesh(0.3, 0.4))
 
 
-def test_the_resolved_case_has_the_choices_of_the_run(tmp_path):
+def test_the_resolved_case_has_the_elastic_state_of_each_branch(tmp_path):
     for text, count in ((NETWORK, 2), (PRONY, 1)):
         resolved = load_case(written(tmp_path, text)).resolved
         assert resolved.count('elastic_state = "B"') == count and 'elastic_state = "F"' not in resolved

@@ -77,7 +77,7 @@ def test_a_disk_that_fills_up_loses_no_result(half, finished):
     assert_same_run(half, finished)
 
 
-def test_info_reports_a_run_beyond_its_case_as_finished(half):
+def test_info_reports_a_run_that_has_passed_the_end_of_its_case_as_finished(half):
     assert command("resume", half, "--until", 0.06, "--quiet")[0] == DONE
     assert "t = 0.06 s, beyond the case's 0.04 s, step 3; finished" in command("info", half)[1]
 

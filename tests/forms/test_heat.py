@@ -229,7 +229,7 @@ def test_a_mechanism_that_takes_entropy_away_is_warned_of_by_name():
     assert abs(ledger.column("closure_relative")).max() <= 1e-10  # the closure does not show this fault
 
 
-def test_an_entropy_of_zero_is_judged_by_its_rounding():
+def test_rounding_of_an_entropy_that_stays_zero_brings_no_warning():
     """A solid at its reference temperature is compressed adiabatically and uniformly: entropy stays zero, and
     its production is rounding."""
     run = nv.Simulation(
@@ -251,7 +251,7 @@ def test_an_entropy_of_zero_is_judged_by_its_rounding():
 
 
 @pytest.mark.filterwarnings("ignore:.*of the present momentum")
-def test_a_huge_heat_transfer_coefficient_is_judged_by_the_rounding_of_its_exchange():
+def test_rounding_of_the_heat_exchange_by_a_huge_coefficient_brings_no_warning():
     """The exchange is the coefficient times a difference of temperatures that agree up to their last
     digits."""
     walls = {"left": 400.0, "right": 300.0}

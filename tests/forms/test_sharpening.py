@@ -321,7 +321,7 @@ def test_fractions_of_three_bodies_in_a_cell_are_bounded(dim, monkeypatch):
 
 
 @pytest.mark.parametrize("sign", [-1, 1])
-def test_the_sign_of_an_absent_body_s_rounding_does_not_change_the_planes(sign):
+def test_the_sign_of_the_rounding_error_of_an_absent_body_does_not_change_the_planes(sign):
     """Where a third body is absent up to rounding, a plane bounds the two other bodies, whatever sign the
     rounding has. With slopes bounded by this sign, every second interface was an even mixture."""
     both = {"material": LINEAR, "density": 1.0}
@@ -361,7 +361,7 @@ def test_an_even_mixture_has_no_interface_in_spite_of_rounding(rng):
     assert np.abs(z - before).max() < 1e-10 * np.abs(before).max()
 
 
-def test_an_interface_at_rest_is_left_where_it_is():
+def test_an_interface_at_rest_does_not_move():
     """Without velocity cells exchange nothing, and bodies that are already separated in a cell stay as they
     are."""
     step, bounds = smeared()
@@ -605,7 +605,9 @@ def test_sharp_has_to_be_true_or_false():
 
 
 @pytest.mark.parametrize(("slope", "trace"), [(1e-13, 0.0), (0.2, 1.0)])
-def test_viscosities_are_in_series_across_an_interface_and_not_across_rounding(rng, slope, trace):
+def test_viscosities_are_in_series_across_interfaces_but_not_where_fractions_vary_by_rounding(
+    rng, slope, trace
+):
     """The trace of n x n is 1 where fractions have a slope, and 0 in an even mixture."""
     viscosities = nv.StokesViscosity(K_v=1.0, G_v=1.0), nv.StokesViscosity(K_v=1.0, G_v=0.1)
     of = [replace(body, viscosity=v) for body, v in zip(bodies(), viscosities, strict=True)]

@@ -49,7 +49,7 @@ def test_springs_pull_back_in_proportion_to_the_displacement_of_the_wall():
     np.testing.assert_allclose(force, (-2 * 200.0 * V[0] * DT, -2 * 50.0 * V[1] * DT), rtol=0.02)
 
 
-def test_friction_brakes_and_a_traction_pulls():
+def test_friction_slows_matter_down_and_a_traction_pulls_it():
     V = (0.0, 0.2)
     force, _ = pushed(nv.NavierFriction(0.7), nv.Traction(f=(0.0, 0.3), friction=0.2), V)
     assert force[1] == pytest.approx(-0.7 * V[1] + 0.3 - 0.2 * V[1], rel=0.01)
@@ -92,7 +92,7 @@ def test_the_density_is_carried_along_by_the_flow():
     assert error < 0.1**2 * moved
 
 
-def test_damping_of_the_velocity_brakes():
+def test_damping_of_the_velocity_slows_matter_down():
     law = nv.Regularisation(epsilon=0.4, p=3.0)
     V = (0.0, 0.2)
     force, run = pushed(nv.Slip(), nv.Slip(), V, model=nv.Model(material=SOLID, regularisation=law))

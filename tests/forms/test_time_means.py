@@ -133,7 +133,7 @@ def test_the_gained_momentum_is_the_impulse_of_the_load(load, expected, scheme):
     assert momentum_of(load, scheme) == pytest.approx(expected, rel=1e-8)
 
 
-def test_the_split_solver_has_the_same_loads():
+def test_the_split_solver_also_applies_the_whole_impulse_of_a_load():
     assert momentum_of(100 * nv.pulse(0.03, 0.01), solver="split", steps=2) == pytest.approx(1.0, rel=1e-8)
 
 

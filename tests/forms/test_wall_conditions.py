@@ -89,7 +89,7 @@ change in time."""
 
 
 @pytest.mark.parametrize("name", [by_ci(name) if name in OF_CI else name for name in CASES])
-def test_ledger_closes_and_mass_stays_with_every_wall(name):
+def test_ledger_closes_and_mass_is_conserved_with_every_wall(name):
     mesh, walls, initial, loads = CASES[name]
     run = nv.Simulation(mesh(), model(loads), dt=0.02, initial=initial, walls=walls)
     ledger = run.run(0.06)
@@ -144,7 +144,7 @@ def test_ledger_closes_on_a_sphere_and_a_shell():
         assert_balanced(ledger, 1e-12, 1e-13)
 
 
-def test_normal_part_of_a_traction_is_powerless():
+def test_the_normal_part_of_a_traction_has_no_power():
     walls = {"top": nv.Traction(f=(0.0, 7.0))}
     with pytest.warns(nv.InputWarning, match=r"walls\['top'\].f: 100% of the traction .* left out"):
         run = nv.Simulation(box((1, 1), 0.5), model(), dt=0.01, walls=walls)

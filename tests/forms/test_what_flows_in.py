@@ -173,7 +173,7 @@ GIVEN = {
 
 
 @pytest.mark.parametrize("given", GIVEN)
-def test_different_stresses_at_an_inlet_are_warned_of_in_slow_straining(given, recwarn):
+def test_a_difference_of_stresses_at_an_inlet_is_warned_of_also_in_slow_straining(given, recwarn):
     """A strained bar moves through its windows.
 
     Entering matter is unstrained. Where the bar meets this matter, half of the strain, 0.2 %, is the lost

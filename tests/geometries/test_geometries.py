@@ -205,7 +205,7 @@ def test_a_sheet_in_the_plane_gives_a_curved_mesh_in_2d(tmp_path):
     assert Integrate(CF(1.0), mesh) == pytest.approx(2 - 0.09 * math.pi, rel=5e-5)
 
 
-def test_a_surface_has_no_volume_elements(tmp_path):
+def test_a_surface_outside_the_plane_is_refused_as_a_geometry(tmp_path):
     Rectangle(1, 1).Face().Rotate(Axis(Pnt(0, 0, 0), X), 30).WriteStep(str(tmp_path / "tilted.step"))
     with pytest.raises(MeshError, match="faces in the plane z = 0"):
         g.load(tmp_path / "tilted.step", maxh=0.5)

@@ -295,7 +295,7 @@ def read(table):
         *(pytest.param(c, marks=pytest.mark.ci) for c in ("regularised", "adapted", "yield")),
     ],
 )
-def test_a_run_goes_on_with_any_number_of_ranks(case_file, tmp_path, case):
+def test_a_run_is_resumed_with_any_number_of_ranks(case_file, tmp_path, case):
     alone, several = tmp_path / "alone", tmp_path / "several"
     case_file.write_text(CASES[case])
     assert ngvisco("run", case_file, "-o", alone, "--quiet").returncode == 0
@@ -391,7 +391,7 @@ every = 1
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_a_curved_run_goes_on_with_any_number_of_ranks(tmp_path):
+def test_a_run_on_a_curved_mesh_is_resumed_with_any_number_of_ranks(tmp_path):
     """The mesh comes from a file, which has curved cells to eight decimals: the geometry curves them again.
 
     The multipliers of the wall are a part of the checkpoint.
@@ -479,7 +479,7 @@ for setting in settings:
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_parts_that_do_not_run_over_ranks_are_refused_by_name(case_file, tmp_path):
+def test_features_that_do_not_run_over_ranks_are_refused_by_name(case_file, tmp_path):
     """Every rank ends with the same code; the first rank gives the reason once, and no file is written."""
     (tmp_path / "refusing.py").write_text(REFUSING)
     result = run(tmp_path / "refusing.py", case_file, tmp_path / "run", *REFUSED, ranks=4)

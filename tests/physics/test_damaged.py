@@ -14,7 +14,7 @@ MATERIALS = {
 
 @pytest.mark.parametrize("name", MATERIALS)
 @pytest.mark.parametrize("stretch", [0.8, 1.2])
-def test_damage_takes_the_energy_of_expansion_and_none_of_compression(name, stretch):
+def test_damage_degrades_the_energy_of_expansion_but_not_of_compression(name, stretch):
     """The energy of a spherical strain, minus the energy at rest."""
     material = nv.Damaged(material=MATERIALS[name], G_c=1.0, length=0.5)
     z = {v.name: v.from_distortion(tensor(stretch * np.eye(3))) for v in material.variables}

@@ -19,7 +19,7 @@ EXAMPLES = {e.constructor: e.material for e in examples()}
 
 
 @pytest.mark.parametrize(("name", "dim"), each_once(EXAMPLES, [2, 3]))
-def test_every_material_is_the_same_for_every_observer(name, dim):
+def test_every_material_is_independent_of_the_observer(name, dim):
     report = nv.check_isotropy(EXAMPLES[name], dim=dim)
     assert report.passed and report.samples > 500
 

@@ -81,7 +81,7 @@ def test_the_linear_elastic_stress_is_hooke_s_law_plus_the_energy_as_pressure(rn
     assert mandel(linear, {"E": E}) == pytest.approx(trace_free(S), abs=1e-12)
 
 
-def test_neo_hookean_stress_is_the_paper_s(rng):
+def test_the_neo_hookean_stress_equals_the_stress_of_the_paper(rng):
     """T = phi'_F F^T + (J phi'_J + phi) I (paper: Cauchy-stress-polyconvex), with derivatives by hand."""
     K, G, eps = 3.0, 1.3, 0.4
     material = nv.NeoHookean(K_e=K, G_e=G, epsilon=eps)
@@ -265,7 +265,7 @@ def stress_of(kind, T):
 
 
 @pytest.mark.parametrize("kind", ["uniaxial", "equibiaxial", "shear"])
-def test_ogden_stress_is_the_closed_form(kind):
+def test_the_ogden_stress_equals_its_closed_form(kind):
     """sigma_1 - sigma_3 = sum mu (l_1^a - l_3^a) (Ogden 1972); in shear, T_12 is this difference times sin(2
     theta)/2 = 1/(l + 1/l)."""
     material = nv.Ogden(K_e=1e3, mu=tuple(TRELOAR.values()), alpha=tuple(TRELOAR))
@@ -280,7 +280,7 @@ def test_ogden_stress_is_the_closed_form(kind):
 
 @pytest.mark.parametrize("elastic_state", ["F", "B"])
 @pytest.mark.parametrize("kind", ["uniaxial", "equibiaxial", "shear"])
-def test_gent_stress_is_the_closed_form(kind, elastic_state):
+def test_the_gent_stress_equals_its_closed_form(kind, elastic_state):
     """sigma_1 - sigma_3 = 2 G_e J_m/(J_m - I_1 + 3) (l_1^2 - l_3^2) (Gent 1996), and T_12 with the shear
     gamma instead of l_1^2 - l_3^2."""
     material = nv.Gent(K_e=1e3, G_e=0.135, J_m=77.0, elastic_state=elastic_state)

@@ -82,7 +82,7 @@ def test_one_body_has_the_stress_of_its_material(name, rule, heat):
 
 
 @pytest.mark.parametrize("name", ["LinearElastic", "ReferentialNeoHookean"])
-def test_hardening_has_no_pressure(name):
+def test_hardening_causes_no_pressure(name):
     """The mean stress is the same with and without a plastic strain."""
     material = getattr(nv, name)(K_e=10.0, G_e=5.0)
     found = []

@@ -60,7 +60,7 @@ def test_stress_of_an_energy_per_mass_is_rho_times_its_slope_times_F_transposed(
 
 
 @pytest.mark.parametrize("name", PSI)
-def test_stress_of_an_energy_per_referential_volume_is_the_paper_s(name):
+def test_the_stress_of_an_energy_per_referential_volume_equals_the_stress_of_the_paper(name):
     """T = psi'(F) F^T/det F and M = sym dev(F^T psi'(F))/det F (paper: Cauchy-stress++, Mandel-stress++)."""
     material, F = nv.PerReferentialVolume(material=PSI[name]), distortion(2)
     z = tensors(state(material, F))

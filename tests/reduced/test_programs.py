@@ -33,7 +33,7 @@ def run_steps(function, taus, keeps=True):
     return calls, programs
 
 
-def test_a_program_serves_later_steps_after_one_comparison():
+def test_a_recorded_program_is_used_in_later_steps_after_one_comparison():
     calls, programs = run_steps(Function(True), [0.1] * 4)
     assert calls == [1, 1, 0, 0]
     assert not programs.varying

@@ -31,7 +31,7 @@ def test_an_energy_with_another_value_by_arrays_is_detected():
     assert np.allclose(slope(rest)[states.slices["J"]], 12 * (J - 1) - 4, rtol=1e-12)
 
 
-def test_rounding_at_rest_is_no_difference():
+def test_rounding_at_rest_does_not_count_as_a_difference():
     """A run that starts at rest and a run resumed there would otherwise differ in their last bits."""
     fluid = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 10 * (J + 1 / J - 2))
     both = {"material": fluid, "viscosity": nv.StokesViscosity(K_v=0.1, G_v=0.1)}

@@ -281,7 +281,7 @@ class Growth(PointTerm):
         ),
     ],
 )
-def test_arguments_of_bodies_are_refused_for_the_whole_model(options, match):
+def test_arguments_of_a_model_without_bodies_are_refused_in_a_model_with_bodies(options, match):
     with pytest.raises(nv.ParameterError, match=match):
         small_run(bodies=[disc(), rest()], **options)
 

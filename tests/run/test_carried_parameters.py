@@ -173,7 +173,7 @@ def test_creep_that_gives_energy_by_an_overshooting_modulus_is_warned_of():
 
 
 @pytest.mark.parametrize("density", [False, True])
-def test_a_start_field_that_jumps_between_cells_is_constant_in_cells(density):
+def test_a_start_field_that_jumps_between_cells_stays_constant_in_the_cells(density):
     """Some quadrature rules have points on the sides."""
     start = SOFT + 9 * UPPER
     model = nv.Model(material=nv.LinearElastic(K_e=1.0, G_e=1.0), creep=nv.Creep(G_m=start))

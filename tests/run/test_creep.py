@@ -76,7 +76,7 @@ def test_creep_does_not_change_J(creep):
 
 
 @pytest.mark.parametrize(("q", "dim"), [(2.0, 2), (3.5, 2), (4.0, 2), (4.0, 3)])
-def test_gradient_creep_closes_and_is_trace_free(q, dim):
+def test_with_gradient_creep_the_ledger_closes_and_the_creep_rate_is_trace_free(q, dim):
     run = swirl(nv.Creep(G_m=2.0, nu=0.01, q=q), dim=dim)
     ledger = run.run(0.04)
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-10

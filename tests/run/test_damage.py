@@ -153,7 +153,7 @@ def test_damage_localises_to_a_band_with_the_width_and_energy_of_the_crack_profi
         assert stress < 1e-2
 
 
-def test_damage_stays_or_heals_at_its_rate():
+def test_damage_stays_without_healing_and_falls_at_its_rate_with_healing():
     """The body is at rest without elastic energy. If d may heal, w'(d) lowers d by d' = -G_c d/(l eta) (AT2);
     otherwise d stays."""
     for healing in (None, 2.0):

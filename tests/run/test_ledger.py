@@ -215,7 +215,9 @@ def test_the_ledger_does_not_close_with_a_wrong_entry(name: str, monkeypatch: py
     assert abs(row["closure_relative"]) > 1e-8
 
 
-def test_steps_that_do_not_close_are_counted_in_one_warning(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_steps_whose_ledger_does_not_close_are_counted_in_one_warning(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """The limit is 1e-8, or 100 times the solver's tolerance if this is larger."""
     assert closure_limit(1e-12) == 1e-8 and closure_limit(1e-6) == pytest.approx(1e-4)
     monkeypatch.setattr(Inertia, "distance", scaled(Inertia.distance, "inertial", 1.01))
@@ -269,7 +271,7 @@ def test_extrema_of_density_and_jacobian_equal_those_of_the_fields() -> None:
     assert row["J_defect"] == pytest.approx(0.0, abs=1e-13)
 
 
-def test_jacobian_defect_is_the_norm_of_J_minus_det_F() -> None:
+def test_the_jacobian_defect_is_the_norm_of_J_minus_det_F() -> None:
     initial = nv.Initial(F=1.1 * Id(3), values={"J": 1.1**3 + 0.2})
     with pytest.warns(nv.InputWarning, match=r"J does not follow from F \(the difference is 0.2, at "):
         run = nv.Simulation(

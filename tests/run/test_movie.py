@@ -42,7 +42,7 @@ def written(request, tmp_path_factory):
     return place, series(place, request.param, passive=["reference_map"])
 
 
-def test_a_series_is_read_back(written):
+def test_a_vtk_series_is_read_back_as_it_was_written(written):
     place, run = written
     files = read_series_files(place)
     assert [time for time, _ in files] == [0, 0.02, 0.04]

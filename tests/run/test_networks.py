@@ -163,7 +163,7 @@ HEATED = {
 
 @pytest.mark.filterwarnings("ignore::ngvisco.DefectWarning", "ignore::ngvisco.InputWarning")
 @pytest.mark.parametrize("around", HEATED)
-def test_a_wrapper_of_materials_wraps_a_network(around):
+def test_a_network_may_be_wrapped_like_any_material(around):
     made = HEATED[around](network(nv.Creep(G_m=2.0)))
     run = simulation(made, solver="split")
     ledger = run.run(0.1)

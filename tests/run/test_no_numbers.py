@@ -67,7 +67,7 @@ def test_states_stay_within_the_domain_of_the_energy(solver, scheme):
 
 
 @pytest.mark.parametrize("solver", [by_ci("coupled"), "split"])
-def test_a_step_beyond_the_domain_is_refused_by_its_name(solver):
+def test_a_step_beyond_the_domain_of_the_energy_is_refused_with_the_name_of_the_bound(solver):
     """A lid stretches an elastic body until a step is refused. The error states the remaining stretch."""
     run = sheared(GENT, 4.0, solver, creep=None, halvings=1)
     with pytest.raises(nv.StepError) as caught:

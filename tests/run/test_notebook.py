@@ -74,7 +74,7 @@ def test_progress_draws_itself_while_the_run_goes_on(monkeypatch):
     assert "step 3" in words(pages[-1])
 
 
-def test_outside_of_a_notebook_progress_is_silent():
+def test_outside_of_a_notebook_progress_prints_nothing():
     assert small([nv.NotebookProgress(0.02)]).run(0.02).column("step")[-1] == 1
 
 

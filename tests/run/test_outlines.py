@@ -83,7 +83,7 @@ def test_a_square_has_its_area_perimeter_and_no_deformation():
     assert pytest.approx(breadth) == L and pytest.approx(0.8 / math.sqrt(3), rel=1e-9) == L
 
 
-def test_lines_are_closed_with_the_body_on_the_left_or_end_at_the_boundary():
+def test_outlines_have_the_body_on_the_left_and_are_closed_or_end_at_the_boundary():
     (round_,) = cut(inside_ellipse).lines()
     assert round_[0] == pytest.approx(round_[-1])
     x, y = round_[:, :2].T

@@ -192,7 +192,7 @@ def test_the_length_of_a_periodic_strip_is_the_distance_of_its_walls():
     assert found.length == found.extent == pytest.approx(1.0)
 
 
-def test_a_motion_without_inertia_is_slow_and_gets_no_advice():
+def test_a_motion_without_inertia_counts_as_slow_and_gets_no_advice():
     found = column()
     assert found.is_slow and found.advice == []
     followed = replace(found, dt=0.1 * found.passage, longest=0.1 * found.passage)

@@ -232,7 +232,7 @@ def test_auto_uses_the_other_solver_if_no_part_of_a_step_is_solved(halvings, mon
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-12
 
 
-def test_adaptive_steps_use_the_other_solver(monkeypatch):
+def test_adaptive_steps_turn_to_the_other_solver_after_failures(monkeypatch):
     fails_above(monkeypatch, 0.0)
     newton = nv.NewtonOptions(split=SplitOptions(chosen_from=(1, 1)))
     steps = nv.AdaptiveSteps(dt_min=DT / 2, dt_max=DT)

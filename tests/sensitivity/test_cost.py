@@ -65,7 +65,7 @@ def test_the_work_of_an_adjoint_does_not_grow_with_the_number_of_parameters(coun
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_a_fit_takes_fewer_solves_than_ten_runs(counts):
+def test_a_fit_takes_fewer_linear_solves_than_ten_runs(counts):
     """Each run of the fit takes two solves and four residuals in each stage for its two derivatives."""
     demo = load("creep_test")
     data = demo.record(2.0, maxh=1.2)

@@ -75,7 +75,7 @@ def test_products_of_tangent_and_adjoint_are_equal(scheme, solver):
     ("scheme", "solver"),
     [by_ci("backward-euler", "coupled"), ("backward-euler", "split"), by_ci("midpoint", "coupled")],
 )
-def test_products_of_columns_of_heat_are_equal(scheme, solver):
+def test_products_of_tangent_and_adjoint_are_equal_for_columns_of_heat(scheme, solver):
     """The scheme's heat is a difference of energies of 600 J. Rounding and the spacing of differences leave a
     relative error of 2e-9."""
     by_scheme = scheme == "backward-euler"

@@ -81,7 +81,7 @@ def test_a_resumed_gradient_equals_the_uninterrupted_one(tmp_path, method, schem
         assert np.array_equal(third._of_start, whole._of_start)
 
 
-def test_a_stop_within_a_step_leaves_the_step_before_it(tmp_path, monkeypatch):
+def test_a_stop_within_a_step_keeps_the_steps_before_it(tmp_path, monkeypatch):
     """The request comes in the second step's first stage; no part of this step is kept."""
     stopped, stage = run(), Trajectory.stage
 

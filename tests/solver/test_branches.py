@@ -38,7 +38,7 @@ def evaluated(material):
     return run, split, at, operator
 
 
-def test_a_cell_is_inverted_branch_by_branch():
+def test_the_matrix_of_a_cell_is_inverted_branch_by_branch():
     run, _, _, operator = evaluated(network())
     points, cells = operator.points, slice(0, run.mesh.ne)
     # each branch has four components and J

@@ -299,7 +299,7 @@ def test_a_term_that_only_forms_can_express_is_refused_by_its_name():
     assert mass[-1] / mass[0] == pytest.approx((1 - 0.1 * 0.02) ** -2, rel=1e-12)
 
 
-def test_every_term_of_a_step_is_taken_exactly_once():
+def test_the_split_solver_evaluates_every_term_of_a_step_exactly_once():
     """The test covers every term that models of the package make."""
     model = nv.Model(
         material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),

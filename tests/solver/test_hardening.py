@@ -78,7 +78,7 @@ def test_plastic_work_that_is_not_stored_becomes_heat():
     assert ledger.column("creep_power_min").min() >= 0
 
 
-def test_a_model_made_of_another_one_hardens_by_its_own_rule():
+def test_a_copy_of_a_model_with_another_rule_hardens_by_this_rule():
     first = nv.Model(material=MATERIALS["B"], creep=nv.Perzyna(sigma_Y=0.5, G_m=0.5, H=2.0))
     assert [v.name for v in replace(first, loads=()).material.variables] == ["B", "J", "A", "plastic_content"]
     assert [v.name for v in replace(first, creep=nv.Creep(G_m=1.0)).material.variables] == ["B", "J"]

@@ -48,7 +48,7 @@ def test_parts_change_only_rounding_and_threads_change_no_bit(parts, monkeypatch
 
 
 @pytest.mark.parametrize("points", [40, 10_000], ids=["parts", "whole"])
-def test_programs_without_data_have_the_bits_of_the_terms(points, monkeypatch):
+def test_programs_that_keep_no_data_give_the_same_bits_as_the_terms(points, monkeypatch):
     """Programs of large meshes read the data of a step at each evaluation."""
     monkeypatch.setattr(residual, "RECORDED", 0)
     run, by_programs = solved(1, points, monkeypatch)

@@ -55,7 +55,7 @@ def test_failed_step_restores_the_state_bitwise() -> None:
     assert all(line.increment > 0 for line in lines)
 
 
-def test_a_change_of_the_step_length_assembles_the_matrix_anew() -> None:
+def test_a_change_of_the_step_length_assembles_the_matrix_again() -> None:
     run = simulation()
     run.advance()
     assert run.solver.newton.is_factorised

@@ -45,7 +45,9 @@ BOTH = pytest.mark.parametrize(
 
 @BOTH
 @pytest.mark.parametrize("dim", [2, 3])
-def test_hessian_is_the_difference_of_the_slope(energy: Callable[..., Tensor], kind: type, dim: int) -> None:
+def test_the_hessian_equals_differences_of_the_slope(
+    energy: Callable[..., Tensor], kind: type, dim: int
+) -> None:
     law = material(energy)
     response, size, h = respond(law, dim), law.states(dim).size, 1e-5
     assert type(response) is kind
@@ -75,7 +77,7 @@ def test_wrong_second_derivative_is_refused(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 @BOTH
-def test_modulus_at_rest_is_the_closed_form(energy: Callable[..., Tensor], kind: type) -> None:
+def test_the_modulus_at_rest_equals_its_closed_form(energy: Callable[..., Tensor], kind: type) -> None:
     """J phi at F = J^(1/3) I is 1.8 J^(5/3) + .6 J^(7/3) + .3 J^(2/3) + 4 J^2 + 4 - 12.6 J."""
     powers, factors = np.array([5 / 3, 7 / 3, 2 / 3, 2.0, 1.0]), np.array([1.8, 0.6, 0.3, 4.0, -12.6])
     stress, modulus = rest_stress_and_modulus(material(energy))

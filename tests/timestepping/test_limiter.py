@@ -75,7 +75,7 @@ def thin_out(run):
 
 
 @pytest.mark.parametrize("scheme", ["midpoint", *(pytest.param(s, marks=pytest.mark.long) for s in OTHERS)])
-def test_velocity_is_that_of_the_limited_density_and_momentum(scheme):
+def test_the_velocity_after_limiting_follows_from_the_limited_density_and_momentum(scheme):
     """The test compares the equations of all unknowns of v that no wall prescribes."""
     run = cavity(scheme=scheme, mesh=coarse())
     run.run(2 * DT)

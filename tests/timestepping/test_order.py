@@ -99,7 +99,7 @@ def passive(run):
 
 @pytest.mark.long
 @pytest.mark.parametrize("scheme", [pytest.param("midpoint", marks=pytest.mark.ci), "sdirk2"])
-def test_passive_fields_converge_at_the_order_of_the_scheme(scheme):
+def test_passive_fields_converge_with_the_order_of_the_scheme(scheme):
     found = in_time(scheme, of=passive, passive=("F_tot", "reference_map", "creep_strain"))
     assert min(found.values()) >= 1.9, found
     first = in_time("backward-euler", of=passive, passive=("F_tot",))

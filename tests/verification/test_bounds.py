@@ -26,7 +26,7 @@ def test_physical_number_with_a_bound_on_one_side_is_refused():
         parsed("a case", "frequency, Hz in [2, 1]: turned round")
 
 
-def test_a_negative_error_does_not_keep_its_bound():
+def test_a_negative_error_violates_its_bound():
     """A signed number that is called an error would keep its bound with any negative value."""
     error, rise = Bound("error of v", "<=", 0.1), Bound("largest rise of the energy", "<=", 1e-12)
     assert error.holds(0.0) and error.holds(0.1) and not error.holds(-1e-3)

@@ -152,7 +152,7 @@ def test_a_wall_s_displacement_is_the_integral_of_its_velocity(scheme, solver):
     assert means[0] == pytest.approx(means[1], rel=1e-9) and max(means[0]) < -1e-4
 
 
-def test_a_step_of_the_density_is_carried_out_without_a_reflection():
+def test_a_jump_of_the_density_leaves_with_the_flow_without_a_reflection():
     """v = (1, 0) is exact; with m = k = 2, v . w is in the density's space."""
     run = nv.Simulation(
         structured_box((1, 0.25), (4, 1)),
@@ -195,7 +195,7 @@ def _carried_strain(first, second):
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_a_step_of_the_strain_is_carried_out_without_a_reflection():
+def test_a_jump_of_the_strain_leaves_with_the_flow_without_a_reflection():
     """A part is stretched across the stream, and also along the stream, so that no stress acts along the
     stream. Therefore v = (1, 0) is exact.
 

@@ -79,7 +79,7 @@ def test_cases_that_were_run_again_take_their_places_in_the_kept_report(cases, t
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])
-def test_a_value_that_is_not_finite_keeps_no_bound(cases, tmp_path, value):
+def test_a_value_that_is_not_finite_violates_every_bound(cases, tmp_path, value):
     cases += [case("nan", value)]
     assert main(["-o", str(tmp_path / "r")]) == FAILED
     saved = Result.from_json((tmp_path / "r" / "cases" / "nan.json").read_text())
