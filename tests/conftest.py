@@ -1,7 +1,7 @@
 """Each test process has one NGSolve thread: sums have a fixed order, and processes share the cores.
 
-There are three tiers.  The default tier has all tests without the mark `long`, the quick tier (`-m quick`) a
-part of them.
+There are three tiers. The default tier has all tests without the mark `long`, and the quick tier (`-m quick`)
+has a part of these tests.
 """
 
 import gc

@@ -45,7 +45,7 @@ class WallExchange(Checked):
 class Diffusion(Checked):
     """Diffusion of c until mu = d phi/d c is uniform: dc/dt + div(c v) = div(M grad mu).
 
-    It dissipates M |grad mu|^2.  A material whose energy couples c and J swells with c.  Raises
+    Diffusion dissipates M |grad mu|^2.  A material whose energy couples c and J swells with c.  Raises
     ParameterError if a parameter is out of its range.
 
     Parameters

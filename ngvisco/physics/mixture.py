@@ -13,11 +13,11 @@ convex: an absent body is a trace of matter at rest.  Hardening adds w phi_h(K/w
 delta), which is n phi_h(k) where the body fills the point.  Bodies with heat have one temperature and one
 entropy s, and V(n) becomes W(n, s).
 
-A body that breaks (``Damaged``) has its own damage d_i and slope q_i.  They degrade f_i and U_i alone.  The
-energy of its cracks has the weight w: where the body is absent, d_i changes no other energy.  phi is convex
-in the densities for given damages, but the minimum over alpha_i is not convex in d_i.  Therefore the
+A body that breaks (``Damaged``) has its own damage d_i and slope q_i. The damage degrades f_i and U_i alone.
+The energy of its cracks has the weight w: where the body is absent, d_i changes no other energy. phi is
+convex in the densities for given damages, but the minimum over alpha_i is not convex in d_i. Therefore the
 conjugate of d_i has the volumes alpha_i of the damages at the step's start, which the conjugates of the
-densities have (``Material.lagged``), and d_i grows with held volumes.  For given volumes phi is convex in
+densities have (``Material.lagged``), and d_i grows with held volumes. For given volumes phi is convex in
 (d_i, q_i), and the minimum over the volumes is not larger: both Bregman distances are >= 0.
 
 Body i has the spin W, the strain rate chi_i D and the creep rate chi_i Pi_i.  The body's fraction determines

@@ -64,10 +64,11 @@ class Periods:
         """Displacements of cells, (cells, dim), that put the parts of a region together across periodic
         boundaries.
 
-        The corners of ``cells``, (cells, corners), are numbers of ``points``, (points, dim), of which
-        ``is_inside`` says whether they are in the region, and ``pairs`` is of these points.  The largest part
-        of the region stays in its place; parts that meet their own image along a period are not displaced
-        along it.  A cell outside the region is displaced to the image that is nearest to the region.
+        The corners of ``cells``, (cells, corners), are numbers of ``points``, (points, dim). ``is_inside``
+        says for each point whether it is in the region. ``pairs`` is the result of the method ``pairs`` for
+        these points. The largest part of the region stays in its place; parts that meet their own image along
+        a period are not displaced along it. A cell outside the region is displaced to the image that is
+        nearest to the region.
         """
         part, free = _connected(cells, is_inside), np.ones(len(self.vectors), dtype=bool)
         joints = []

@@ -1,10 +1,10 @@
 """Fractions of each cell that shapes fill, as polynomials on the cells.
 
-A cell cut by a surface is divided into sub-cells.  In each sub-cell the level is interpolated linearly, and
-the positive share of a simplex is computed exactly.  The interpolation cuts off edges and convex parts by the
-square of the sub-cells' size; shares in sub-cells of twice the size allow an extrapolation.  The fraction is
-the L2 projection of the shares.  It is scaled towards its mean where it leaves [0, 1] (Zhang, Shu), which
-keeps the volume of the shares.
+A cell cut by a surface is divided into sub-cells. In each sub-cell the level is interpolated linearly, and
+the positive share of a simplex is computed exactly. The interpolation cuts off edges and convex parts by the
+square of the sub-cells' size; shares in sub-cells of twice the size allow an extrapolation. The fraction is
+the L2 projection of the shares. Where the fraction leaves [0, 1], it is scaled towards its mean (Zhang, Shu),
+which keeps the volume of the shares.
 
 Several shapes lie over each other like sheets of paper, the last one on top.  The fractions of all shapes and
 of the rest sum to one at every point.

@@ -1,7 +1,7 @@
 """Shapes: parts of space, given by a level that is positive inside.
 
-Shapes set where bodies are at the start of a run.  A level is any function with the right sign.  It should be
-continuous near the surface, so that ``fractions`` divides cut cells at the surface.
+Shapes set where bodies are at the start of a run. A level is any function with the right sign. The level
+should be continuous near the surface, so that ``fractions`` divides cut cells at the surface.
 """
 
 from __future__ import annotations

@@ -28,8 +28,8 @@ STRUCTURED = {1 / n: n for n in (4, 13, 17)}
 def domain(dim: int, maxh: float) -> Mesh:
     """The unit box, structured for sizes in ``STRUCTURED``.
 
-    Netgen's boxes jump from 45 to 95 thousand cells.  For 50,552 cells a box that is taller by a hundredth is
-    meshed with twice the size and refined.
+    Netgen's boxes jump from 45 to 95 thousand cells. The mesh of 50,552 cells is that of a box that is taller
+    by a hundredth: it is meshed with cells of twice the size and refined.
     """
     if dim == 3 and maxh in STRUCTURED:
         return structured_box((1, 1, 1), (STRUCTURED[maxh],) * 3)

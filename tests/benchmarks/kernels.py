@@ -1,8 +1,8 @@
 """The cost of kernels that are written by hand: ``python -m tests.benchmarks.kernels`` in the project's root.
 
-Each kernel is timed by turns with the general way to the same numbers, in processor time: complex increments
-of the terms, or NGSolve's form where arrays do not take the term. A kernel that is no longer several times
-as fast should be removed.
+Each kernel is timed by turns with the general code for the same numbers, in processor time. The general code
+takes complex increments of the terms, or NGSolve's form where arrays do not take the term. A kernel that is
+no longer several times as fast should be removed.
 """
 
 import sys

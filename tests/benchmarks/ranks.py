@@ -1,10 +1,11 @@
 """Cost of a step of the split solver over ranks: one row a process, printed as JSON by the first rank.
 
 Run ``python -m tests.benchmarks.ranks [-o DIRECTORY] [--ranks 0 1 2 4 8] [--cells 13]`` in the project's
-root, with a Python that has petsc4py. It computes the neo-Hookean swirl of ``case`` in a box of n x n x n
-cubes of six tetrahedra, in turn with mpirun on each number of ranks with cells, and the first rank in
-addition; 0 means one process without MPI. Times are comparable within one call, for as many ranks as
-processors at most; iterations, messages, bytes and memory are comparable in all calls.
+root, with a Python that has petsc4py. The module computes the neo-Hookean swirl of ``case`` in a box of n x n
+x n cubes of six tetrahedra. The swirl is computed in turn on each given number of ranks with cells, by mpirun
+with one more rank, the first. The number 0 means one process without MPI. Times are comparable within one
+call, for as many ranks as processors at most; iterations, messages, bytes and memory are comparable in all
+calls.
 """
 
 import argparse

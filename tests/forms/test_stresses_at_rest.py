@@ -74,8 +74,8 @@ def test_balanced_walls_and_materials_without_stress_at_rest_bring_no_warning(st
 
 @pytest.mark.parametrize("resists", ["impedance", "stiffness"])
 def test_dashpots_and_springs_count_in_the_balance_at_the_start(resists, recwarn):
-    """Dashpots bear 2 Pa at 0.1 m/s, and springs at 0.1 m; the pressures are off by 2 Pa in either
-    direction."""
+    """Dashpots at 0.1 m/s, and springs at 0.1 m, bear 2 Pa. The pressures of the walls are 2 Pa too large on
+    the left and 2 Pa too small on the right."""
     walls = {
         name: nv.Open(pressure=-AT_REST - load, backflow=False, **{resists: (20.0, 0.0)})
         for name, load in (("left", -2.0), ("right", 2.0))

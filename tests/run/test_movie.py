@@ -241,7 +241,7 @@ def test_scene_holds_mesh_and_values(tmp_path, size):
     assert areas.sum() == pytest.approx(exact, rel=1e-5)
 
 
-def test_scene_needs_nothing_from_outside(tmp_path):
+def test_a_scene_loads_no_other_file(tmp_path):
     write_scene(box((1, 1), maxh=0.7), {"x": x}, tmp_path / "scene.html")
     page = tmp_path / "scene.html"
     assert not re.search(r"https?:|//[a-z]+\.|\bsrc=|\bimport\b|fetch\(|XMLHttp|<link", page.read_text())

@@ -403,8 +403,8 @@ def with_bent(**of_variable):
 
 
 def test_only_the_coupled_solver_takes_a_rate_not_linear_in_the_variables():
-    """The split solver tabulates rates that are linear in the variables. It refuses this rate, and names the
-    variable."""
+    """The split solver tabulates rates that are linear in the variables. The split solver refuses this rate,
+    and names the variable."""
     with pytest.raises(
         ParameterError, match="'coupled', since the rate of 's' is not linear in the variables"
     ):

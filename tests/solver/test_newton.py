@@ -171,7 +171,7 @@ BLOCKS = BlockNorm({"v": slice(0, 2), "z": slice(2, 4), "ignored": slice(0, 4)},
 
 
 @pytest.mark.parametrize("where", range(4))
-def test_norm_of_nan_is_nan(where: int) -> None:
+def test_the_norm_of_a_vector_with_nan_is_nan(where: int) -> None:
     """NaN may be in any block; Python's max would lose it in the second."""
     increment, state = vectors([0.1, 0.1, 0.1, 0.1], [1.0, 1.0, 1.0, 1.0])
     increment.FV().NumPy()[where] = math.nan

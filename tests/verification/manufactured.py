@@ -1,8 +1,8 @@
 """Manufactured solutions: their exact fields, and the sources that make them solutions.
 
-The fields are written once, for coefficient functions and for numpy arrays alike.  They meet the natural
+The fields are written once, for coefficient functions and for numpy arrays alike. The fields meet the natural
 conditions of the walls of the unit box: v.n = 0, no tangential traction, hess v:(n x n) = 0, (n . grad) Pi =
-0.  The fields do not meet the conditions of the delta-terms. ``Sources`` supplies the fluxes of the
+0. The fields do not meet the conditions of the delta-terms. ``Sources`` supplies the fluxes of the
 delta-terms through walls. With f = sin(pi x) and g = 1 - 2S, S the smooth step of degree 7 (g', g'', g'''
 vanish at 0 and 1), v_i = c_i(t) f(x_i) prod_{j != i} g(x_j), and shear components of E and F vanish where
 they must.

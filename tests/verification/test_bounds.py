@@ -8,7 +8,7 @@ from tests.verification.bounds import KINDS, Bound, VerificationError, parsed
 from tests.verification.cases import all_cases
 
 
-def test_physical_number_with_a_bound_on_one_side_is_refused():
+def test_a_physical_number_with_a_bound_on_one_side_only_is_refused():
     """A coefficient of restitution of 0.278 once passed, because its bound was '<= 0.95'."""
     for text in ("coefficient of restitution <= 0.95: viscous", "height of the wave, m >= 0.1: it rises"):
         with pytest.raises(VerificationError, match="two sides: 'quantity in"):

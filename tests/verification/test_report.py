@@ -187,7 +187,7 @@ def test_a_report_does_not_change_other_files_of_its_directory(cases, tmp_path, 
     assert (tmp_path / "r" / "report.md").read_bytes() == before
 
 
-def test_interrupted_report_is_not_half_written_and_goes_on(cases, tmp_path, capsys):
+def test_an_interrupted_report_leaves_no_partial_file_and_can_be_resumed(cases, tmp_path, capsys):
     calls, patience = [], []
 
     def interrupted_once():

@@ -118,11 +118,11 @@ class BarotropicFluid(ContinuedInJ):
 class OldroydB(ContinuedInJ):
     """phi(B, J) = K_e/2 (J - 2 + 1/J) + G_e (tr B - ln det B - 3), B = J^{-2/3} F F^T.
 
-    This is the energy of Hookean dumbbells, and of Leonov's fluid; see the module's docstring.  The energy is
-    strictly convex in B and in J, and therefore jointly. It is singular as det B -> 0+ and as J -> 0+. dev T
-    = 2 G_e dev B.  Oldroyd's fluid B needs ``Creep(law="conformation")``: with the default law of ``Creep``
-    the viscosity falls with the rate of shear.  Raises ParameterError if a parameter is not a finite positive
-    number.
+    This is the energy of Hookean dumbbells, and of Leonov's fluid; see the module's docstring. The energy is
+    strictly convex in B and in J, and therefore jointly. The energy is singular as det B -> 0+ and as J ->
+    0+. dev T = 2 G_e dev B. Oldroyd's fluid B needs ``Creep(law="conformation")``: with the default law of
+    ``Creep`` the viscosity falls with the rate of shear. Raises ParameterError if a parameter is not a finite
+    positive number.
 
     Parameters
     ----------
