@@ -68,7 +68,7 @@ def relative(found, exact, names):
 @pytest.mark.parametrize(
     ("scheme", "solver"),
     [
-        ("backward-euler", "coupled"),
+        by_ci("backward-euler", "coupled"),
         by_ci("midpoint", "split"),
         by_ci("sdirk2", "coupled"),
         by_ci("sdirk2", "split"),
