@@ -221,7 +221,7 @@ def _amplitude(run: nv.Simulation) -> float:
       strain of {TAU:g}, growth over those after {FROM}; cells of 0.25 and 0.125 m.
     - largest distance of a growth rate from theory's <= 0.15: the face is as wide as a cell
     - largest distance for n = 5, R = 20 <= 0.15: stated before any run of it
-    - relative error of the largest one, n = 10 <= 0.03: it grows with 6 per unit of strain
+    - relative error of the largest growth rate, n = 10 <= 0.03: it grows with 6 per unit of strain
     - distance on finer cells over that on coarser <= 0.8: it falls
     - least distance to theory's with another n >= 0.7: the negative control
     - closure
@@ -243,7 +243,7 @@ def _necks() -> Measured:
     yield "largest distance of a growth rate from theory's", fine
     yield "largest distance for n = 5, R = 20", rows[-1][-1]
     (largest,) = (row for row in rows[1::2] if row[0] == 10.0)
-    yield "relative error of the largest one, n = 10", largest[-1] / largest[-2]
+    yield "relative error of the largest growth rate, n = 10", largest[-1] / largest[-2]
     yield "distance on finer cells over that on coarser", fine / coarse
     yield "least distance to theory's with another n", min(others)
     yield Table("growth rates over e", "n | R | cells, m | triangles | found | theory | distance", rows)

@@ -141,9 +141,10 @@ def _clamped(
     setting: Bar as of bar-between-windows in a box of {BOX[0]:g} m x {BOX[1]:g} m, clamped at its left wall;
       medium of {AIR:g} kg/m3 with the bar's bulk modulus and 0.05 (0.01) Pa s; 600 (900) triangles,
       midpoint, {STEP[1.0]:g} ({STEP[0.01]:g}) s until {UNTIL:g} s, for all of the weight (a hundredth of it).
-    - a hundredth: frequency over CSM3's, less one <= 0.05: 2.1 % by beam theory
-    - all: frequency over CSM3's, less one <= 0.15: two rows of cells, and a bar that moves through cells
-    - all: mean of the tip over CSM3's, less one <= 0.15: estimated from the centroid
+    - a hundredth of the weight: frequency over CSM3's, less one <= 0.05: 2.1 % by beam theory
+    - the whole weight: frequency over CSM3's, less one <= 0.15: two rows of cells, and a bar that moves
+      through cells
+    - the whole weight: mean of the tip over CSM3's, less one <= 0.15: estimated from the centroid
     - drift
     - closure
     """)
@@ -171,9 +172,9 @@ def _csm3() -> Measured:
     swing = MEAN - AMPLITUDE * np.cos(2 * math.pi * FREQUENCY * t)
     curves.append(Curve("CSM3", t, 1e3 * swing, "k-"))
     small, whole = rows
-    yield "a hundredth: frequency over CSM3's, less one", abs(small[2] / FREQUENCY - 1)
-    yield "all: frequency over CSM3's, less one", abs(whole[2] / FREQUENCY - 1)
-    yield "all: mean of the tip over CSM3's, less one", abs(whole[4] / 1e3 / MEAN - 1)
+    yield "a hundredth of the weight: frequency over CSM3's, less one", abs(small[2] / FREQUENCY - 1)
+    yield "the whole weight: frequency over CSM3's, less one", abs(whole[2] / FREQUENCY - 1)
+    yield "the whole weight: mean of the tip over CSM3's, less one", abs(whole[4] / 1e3 / MEAN - 1)
     head = "share of the weight | cells | frequency, Hz | damping, 1/s | mean, mm | lowest, mm | rejected"
     yield Table("the tip of a bar that swings through a light medium", head, rows)
     yield Plot("The tip over the share of the weight, by the centroid", "t, s", "mm", curves)
@@ -210,7 +211,7 @@ AT_REST = Q * SLAB**4 / (20 * 4 * OF_ROCK * HIGH**3 / 12) + Q * SLAB**2 / (3 * 5
     - mean deflection when gravity ends, m in [35, 60]: a quarter from the 47 m of the first run;
       127 m would be the rest state, which the medium delays
     - mean deflection over the beam's at rest in [0.25, 0.5]: the elastic end of beam theory is not reached
-    - share of the deflection at the end in [0.3, 0.7]: the slab recovers
+    - deflection at the end over that when gravity ends in [0.3, 0.7]: the slab recovers
     - largest step downwards after gravity, m in [-2, 0]: the slab rises all the time
     - error of rest: kinetic energy over stored <= 1e-15: nothing moves by inertia
     - drift
@@ -235,7 +236,7 @@ def _bending() -> Measured:
     n, bent = int(np.searchsorted(times, LOADED)), height[0] - height
     yield "mean deflection when gravity ends, m", bent[n]
     yield "mean deflection over the beam's at rest", bent[n] / AT_REST
-    yield "share of the deflection at the end", bent[-1] / bent[n]
+    yield "deflection at the end over that when gravity ends", bent[-1] / bent[n]
     yield "largest step downwards after gravity, m", np.diff(bent[n:]).max()
     yield (
         "error of rest: kinetic energy over stored",

@@ -111,12 +111,12 @@ class Overlap(nv.Observer):
       {SPEED:g} m/s each; box of {SIZE[0]:g} m x {SIZE[1]:g} m, medium of {LIGHT:g} kg/m3, {SOFT:g} Pa and
       {THIN:g} Pa s; {2 * CELLS[0] * CELLS[1]} triangles, midpoint, tau = {TAU:g} s until {END:g} s.
     - least gap, m in [0, 0.1]: less than a cell between them
-    - how far they part again, m in [0.05, 0.3]: with 0.5 to 0.92 of their speed for 1 s, minus a part that
-      they come back
+    - growth of the distance after the impact, m in [0.05, 0.3]: with 0.5 to 0.92 of their speed for 1 s,
+      minus a part that they come back
     - coefficient of restitution in [0.5, 0.92]: a Lagrangian disc at a wall in empty space has 0.918; the
       viscous medium, with 0.15 of the mass, takes a part; 0.613 was known from an earlier run
-    - energy lost less that dissipated, over the first <= 1e-10: the sum of the closures
-    - dissipated by scheme and limiter over all <= 0.05: viscosity dissipates the rest
+    - difference of lost and dissipated energy over the energy at the start <= 1e-10: the sum of the closures
+    - energy dissipated by scheme and limiter over the energy lost <= 0.05: viscosity dissipates the rest
     - largest overlap over a disc's area <= 0.02: a shared layer of part of a cell
     - change of the total momentum over a disc's <= 0.05: symmetry; walls do not push
     - largest asymmetry of places, m <= 5e-3: a twentieth of a cell
@@ -136,10 +136,13 @@ def _collision() -> Measured:
     by_scheme += run.ledger.column("limiter").sum()
     lost = energy[0] - energy[-1]
     yield "least gap, m", _gap(table)
-    yield "how far they part again, m", distance[-1] - distance.min()
+    yield "growth of the distance after the impact, m", distance[-1] - distance.min()
     yield "coefficient of restitution", -left.min() / left[0]
-    yield "energy lost less that dissipated, over the first", abs(lost - by_model - by_scheme) / energy[0]
-    yield "dissipated by scheme and limiter over all", abs(by_scheme) / abs(lost)
+    yield (
+        "difference of lost and dissipated energy over the energy at the start",
+        abs(lost - by_model - by_scheme) / energy[0],
+    )
+    yield "energy dissipated by scheme and limiter over the energy lost", abs(by_scheme) / abs(lost)
     yield "largest overlap over a disc's area", max(overlap.values)
     yield "change of the total momentum over a disc's", np.abs(left + right).max() / left[0]
     yield "largest asymmetry of places, m", np.abs(at_left + at_right).max()
@@ -218,13 +221,15 @@ def _lagrangian(weightless: bool) -> np.ndarray:
       momentum, distance and energies below were known from a trial of the same run
     - the reference's coefficient of restitution in [0.90, 0.93]: 0.918 in empty space
     - the reference's coefficient less that of the run <= 0.05: asked for before any run
-    - momentum after 1.8 s over the largest backwards in [0.95, 1]: no bridge of smeared matter pulls
+    - momentum after 1.8 s over the largest momentum backwards in [0.95, 1]: no bridge of smeared matter pulls
     - least distance of the centroids, m in [0.34, 0.42]: 0.34 of the reference, and a film of a cell
-    - stored at the end by mixing, over the first energy in [0.05, 0.12]: averages of X; 0.09 was known, and
-      0.044 on half the cells
-    - the rest of what is stored, over the first energy in [0, 0.1]: vibrations
-    - stored by the reference after 1.2 s, in the mean, over the first energy in [0.02, 0.07]: vibrations
-    - dissipated by upwinding over the first energy in [0, 0.06]: of first order where bodies touch
+    - energy stored at the end by mixing over the kinetic energy at the start in [0.05, 0.12]: averages of X;
+      0.09 was known, and 0.044 on half the cells
+    - all other energy stored at the end over the kinetic energy at the start in [0, 0.1]: vibrations
+    - mean energy that the reference stores after 1.2 s, over the kinetic energy at the start in [0.02, 0.07]:
+      vibrations
+    - energy dissipated by upwinding over the kinetic energy at the start in [0, 0.06]: of first order where
+      bodies touch
     - change of the mass <= 1e-10: conserved
     - closure
     """)
@@ -238,17 +243,26 @@ def _bounce() -> Measured:
     yield "coefficient of restitution", backwards
     yield "the reference's coefficient of restitution", restitution(rows)
     yield "the reference's coefficient less that of the run", restitution(rows) - backwards
-    yield "momentum after 1.8 s over the largest backwards", momentum[-1] / momentum.min()
+    yield "momentum after 1.8 s over the largest momentum backwards", momentum[-1] / momentum.min()
     yield "least distance of the centroids, m", 2 * (QUARTER[0] - table.column("left_x").max())
     stored, by_mixing = column("stored")[-1] - column("stored")[0], mixed(run, "left")
     after = rows[:, 0] > 1.2
-    yield "stored at the end by mixing, over the first energy", by_mixing / column("kinetic")[0]
-    yield "the rest of what is stored, over the first energy", (stored - by_mixing) / column("kinetic")[0]
     yield (
-        "stored by the reference after 1.2 s, in the mean, over the first energy",
+        "energy stored at the end by mixing over the kinetic energy at the start",
+        by_mixing / column("kinetic")[0],
+    )
+    yield (
+        "all other energy stored at the end over the kinetic energy at the start",
+        (stored - by_mixing) / column("kinetic")[0],
+    )
+    yield (
+        "mean energy that the reference stores after 1.2 s, over the kinetic energy at the start",
         (rows[after, 3].mean() - rows[0, 3]) / rows[0, 2],
     )
-    yield "dissipated by upwinding over the first energy", upwinding / column("kinetic")[0]
+    yield (
+        "energy dissipated by upwinding over the kinetic energy at the start",
+        upwinding / column("kinetic")[0],
+    )
     yield "change of the mass", np.abs(mass / mass[0] - 1).max()
     times = table.column("time")
     curves = [Curve("14 x 8 squares", times, momentum / momentum[0], "s-")]
@@ -267,11 +281,12 @@ THINNER, DENSER = (4e-7, 2e-5, 2e-4), (3e-3, 1e-2, 1e-1)
     setting: As discs-in-a-light-medium, 14 x 8 squares; media of {EMPTY:g} to {DENSER[-1]:g} kg/m3 with
       {VISCOUS:g} Pa s, and of {THINNER[0]:g} to {THINNER[-1]:g} Pa s with {EMPTY:g} kg/m3; the limit is that
       of straight lines through the two least densities and the two least viscosities.
-    - limit in [0.86, 0.90]: 0.879 in a light medium; stated with the next three before the first run
+    - restitution in the limit of thin and light media in [0.86, 0.90]: 0.879 in a light medium; stated with
+      the next three before the first run
     - limit less the restitution in a light medium in [-0.005, 0.01]: a light medium is nearly none
     - restitution by 0.1 kg/m3 less that by 0.001 in [-0.25, 0.01]: the added mass gives its momentum back
     - restitution by 2e-4 Pa s less that by 4e-6 in [-0.15, -0.005]: drag of 20 eta U for 2 s
-    - a Lagrangian disc's in empty space less the limit in [0.02, 0.055]: error of the mesh
+    - restitution of a Lagrangian disc in empty space less the limit in [0.02, 0.055]: error of the mesh
     - closure
     """)
 def _media() -> Measured:
@@ -287,12 +302,12 @@ def _media() -> Measured:
     by_viscosity = thinner + THINNER[0] * (thinner - usual) / (VISCOUS - THINNER[0]) - usual
     by_density = EMPTY * (usual - denser) / (DENSER[0] - EMPTY)
     limit = usual + by_viscosity + by_density
-    yield "limit", limit
+    yield "restitution in the limit of thin and light media", limit
     yield "limit less the restitution in a light medium", limit - usual
     yield "restitution by 0.1 kg/m3 less that by 0.001", found[DENSER[-1], VISCOUS] - usual
     yield "restitution by 2e-4 Pa s less that by 4e-6", found[EMPTY, THINNER[-1]] - usual
     empty = restitution(_lagrangian(weightless=False))
-    yield "a Lagrangian disc's in empty space less the limit", empty - limit
+    yield "restitution of a Lagrangian disc in empty space less the limit", empty - limit
     rows = [[*medium, value] for medium, value in found.items()]
     yield Table("restitution in media", "density, kg/m3 | viscosity, Pa s | restitution", rows)
 
@@ -553,13 +568,13 @@ def dropped(until: float) -> tuple[nv.Simulation, nv.Bodies]:
       velocities of order 3, backward Euler, tau = {TAU_JELLY:g} s until {SETTLED:g} s; energies over the
       fall's.
     - height at 0.2 s over free fall's, less one <= 0.01: buoyancy is a thousandth
-    - how far it rises again, m in [0.03, 0.15]: it bounces; half of its fall, as backward Euler damps
+    - rise after the impact, m in [0.03, 0.15]: it bounces; half of its fall, as backward Euler damps
     - what is left of the kinetic energy at the end <= 0.02: it settles
     - rejected steps <= 0.0: none
     - largest rise of the total energy in a step <= 1e-10: phi is jointly convex
     - bregman's negative parts <= 1e-11: phi is jointly convex
     - limiter's negative parts <= 1e-11: Jensen's inequality, momentum limited with mass
-    - change of its mass <= 1e-10: conserved
+    - change of the jelly's mass <= 1e-10: conserved
     - closure
     """)
 def _jelly() -> Measured:
@@ -569,13 +584,13 @@ def _jelly() -> Measured:
     kinetic, weight = column("kinetic"), GRAVITY * float(masses[0]) * (0.5 - R_JELLY)
     fallen = np.interp(FALLING, times, height) / (0.5 - GRAVITY * FALLING**2 / 2)
     yield "height at 0.2 s over free fall's, less one", abs(fallen - 1)
-    yield "how far it rises again, m", height[low:].max() - height[low]
+    yield "rise after the impact, m", height[low:].max() - height[low]
     yield "what is left of the kinetic energy at the end", kinetic[-1] / kinetic.max()
     yield "rejected steps", column("rejections").sum()
     yield "largest rise of the total energy in a step", -taken(run).sum(axis=0).min() / weight
     for name in ("bregman", "limiter"):
         yield f"{name}'s negative parts", -np.minimum(column(name)[1:], 0).sum() / weight
-    yield "change of its mass", np.abs(masses / masses[0] - 1).max()
+    yield "change of the jelly's mass", np.abs(masses / masses[0] - 1).max()
     efforts = [np.cumsum(column(name)) for name in ("newton_iterations", "limited_cells")]
     rows = list(zip(times, height, kinetic, *efforts, strict=True))[::40]
     head = "t, s | height of the centroid, m | kinetic energy, J/m | iterations | limited cells"

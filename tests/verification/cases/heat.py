@@ -39,8 +39,8 @@ def _elastic(conductivity: float = 0.0, warm: bool = True) -> nv.Model:
     label: Duhamel and Neumann's law; heat-energy of FORMULATION
     setting: Box of 1 m with walls all around, 3 W/m^3 for 1 s, c = 2 J/(m^3 K); midpoint rule.
     - error of the pressure K beta dtheta, relative <= 1e-8: the step's error only; set after a first run
-    - error of the temperature with half of the step, of that with the whole <= 0.3: a scheme of second order
-      has a quarter
+    - error of the temperature with half the step over that with the whole step <= 0.3: a scheme of second
+      order has a quarter
     - closure
     """)
 def _clamped() -> Measured:
@@ -55,7 +55,7 @@ def _clamped() -> Measured:
         rows.append([dt, abs(theta - 300 - power / c), abs(p - K * beta * power / c)])
     yield "error of the pressure K beta dtheta, relative", rows[-1][2] / (K * beta * power / c)
     half = rows[-1][1] / rows[-2][1]
-    yield "error of the temperature with half of the step, of that with the whole", half
+    yield "error of the temperature with half the step over that with the whole step", half
     head = "dt, s | error of the temperature, K | error of the pressure, Pa"
     yield from Table("a clamped body that is heated by 1.5 K", head, rows).drawn(0, 1, 2, log="xy")
 
@@ -167,7 +167,7 @@ def _slab_error(h: float, solver: str) -> float:
     label: Carslaw and Jaeger, b tan b = Bi; heat-wall
     setting: Slab of 1 m, Bi = 1.5, 50 K above its surroundings, until 0.4 s; dt = h/5, midpoint rule.
     - rate of the error >= 1.8: 2 by P1
-    - difference of the solvers, of the error <= 1e-8: the same equations
+    - difference of the solvers over the error <= 1e-8: the same equations
     - closure
     """)
 def _slab() -> Measured:
@@ -176,7 +176,7 @@ def _slab() -> Measured:
         table.add(h, theta=_slab_error(h, "coupled"))
     split = _slab_error(0.2, "split")
     yield "rate of the error", table.last("theta")
-    yield "difference of the solvers, of the error", abs(split / table.errors["theta"][0] - 1)
+    yield "difference of the solvers over the error", abs(split / table.errors["theta"][0] - 1)
     yield table
 
 
@@ -219,7 +219,7 @@ def _thermoelastic(kappa: float) -> complex:
     Waves have the thermoelastic damping and dispersion of the linear theory, from adiabatic to isothermal.
     label: Zener 1937; Chadwick 1960: (rho s^2 + M k^2)(c s + kappa k^2) + (Gamma c)^2 theta_R s k^2 = 0
     setting: Standing waves of 2 m started in their modes, until 0.5 s; five conductivities.
-    - largest error of velocity and temperature, of their amplitudes <= 5e-3: (omega dt)^2/12 omega T =
+    - largest error of velocity and temperature over their amplitudes <= 5e-3: (omega dt)^2/12 omega T =
       1.4e-3; set after a first run
     """)
 def _damping() -> Measured:
@@ -242,7 +242,7 @@ def _damping() -> Measured:
         motion, heat = s * np.exp(s * T), warm * np.exp(s * T)
         errors.append(max(abs(v - motion.real) / abs(motion), abs(theta - heat.real) / abs(heat)))
         rows.append([kappa, s.real, s.imag, v, motion.real, theta, heat.real])
-    yield "largest error of velocity and temperature, of their amplitudes", max(errors)
+    yield "largest error of velocity and temperature over their amplitudes", max(errors)
     head = "kappa, W/(m K) | decay, 1/s | frequency, 1/s | v | theory | theta - theta_R | theory"
     yield from Table(f"standing waves after {T} s", head, rows).drawn(0, 3, 4, 5, 6, log="x")
 
@@ -281,9 +281,9 @@ def _stream(cells: int, solver: str) -> nv.Simulation:
       source {SOURCE:g} W/m3; 4, 8 and 16 cells along, backward Euler until 12 s, where it is steady.
     - error of the temperature over its rise <= 2e-3: cells, and mixing at the inlet, 5e-4
     - error with an inlet that holds the temperature >= 0.05: another condition must be detected
-    - what mixing at the inlet takes over theory, less one <= 0.05: c V dtheta^2/(2 theta): entropy is
+    - dissipation by mixing at the inlet over theory, less one <= 0.05: c V dtheta^2/(2 theta): entropy is
       carried, and none made where streams mix
-    - what is left of the entropy's balance <= 1e-10: it closes to rounding, like the energy's
+    - defect of the entropy's balance <= 1e-10: it closes to rounding, like the energy's
     - difference of the solvers over the rise <= 1e-8: the same equations
     - closure
     """)
@@ -311,8 +311,8 @@ def _heated_stream() -> Measured:
     yield "error of the temperature over its rise", rows[-1][1]
     yield "error with an inlet that holds the temperature", rows[-1][2]
     over = column("dissipation_inflow_left")[-1] / mixing
-    yield "what mixing at the inlet takes over theory, less one", abs(over - 1)
-    yield "what is left of the entropy's balance", abs(left).max() / column("entropy")[-1]
+    yield "dissipation by mixing at the inlet over theory, less one", abs(over - 1)
+    yield "defect of the entropy's balance", abs(left).max() / column("entropy")[-1]
     yield "difference of the solvers over the rise", off(theta - other.fields["temperature"])
     head = "cells along | error over the rise | the same of an inlet that holds theta | closure"
     yield from Table("a stream that is heated on its way", head, rows).drawn(0, 1, 2, log="xy")
@@ -374,7 +374,7 @@ def _warmed(dt: float, solver: str, material: nv.Material, **laws: Any) -> float
     setting: Homogeneous shear at 2/s for 1 s from 300 K, E = 20 kJ/mol; two cells, midpoint rule.
     - largest relative error of the warming, 0.05 s <= 2e-3: (rate dt)^2/12 = 8e-4
     - least order in time >= 1.8: 2
-    - difference of the solvers, of the warming <= 1e-8: the same equations
+    - difference of the solvers over the warming <= 1e-8: the same equations
     - closure
     """)
 def _shear_heating() -> Measured:
@@ -399,7 +399,7 @@ def _shear_heating() -> Measured:
         rows.append([name, exact, coarse, fine, split])
     yield "largest relative error of the warming, 0.05 s", max(max(row[3:]) for row in rows)
     yield "least order in time", min(np.log2(row[2] / row[3]) for row in rows)
-    yield "difference of the solvers, of the warming", max(abs(row[4] - row[3]) for row in rows)
+    yield "difference of the solvers over the warming", max(abs(row[4] - row[3]) for row in rows)
     head = "body | reference, K | error of the warming, 0.1 s | 0.05 s | 0.05 s, split solver"
     yield from Table(f"temperature after a shear of {RATE:g} in 1 s, adiabatic", head, rows).drawn(
         None, 2, 3, 4, log="y"

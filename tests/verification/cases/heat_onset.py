@@ -139,7 +139,7 @@ def _onset(plates: Plates) -> Measured:
         expected = _mode(plates, Ra)[0]
         rows.append([Ra, found, expected, abs(found - expected) / size])
     root = float(np.interp(0.0, [row[1] for row in rows], np.sqrt(plates.numbers)))
-    yield "error of the growth, of k^2 + pi^2", max(row[3] for row in rows)
+    yield "error of the growth over k^2 + pi^2", max(row[3] for row in rows)
     yield "error of the critical Rayleigh number", abs(root**2 / plates.critical - 1)
     yield from Table("growth of a roll", "Ra | growth, 1/s | theory, 1/s | error", rows).drawn(0, 1, 2)
 
@@ -149,7 +149,7 @@ _SETTING = (
     "P2 fields, midpoint rule; the start is the theory's mode with both signs. Two Rayleigh numbers, and "
     "their growths interpolated over sqrt(Ra).  The bounds were written after trials on coarser cells."
 )
-_BOUNDS = """- error of the growth, of k^2 + pi^2 <= 0.01: (pi h)^4/72 = 5e-3 of P2, 1e-3 of the fluid
+_BOUNDS = """- error of the growth over k^2 + pi^2 <= 0.01: (pi h)^4/72 = 5e-3 of P2, 1e-3 of the fluid
     - error of the critical Rayleigh number <= 0.01: as much; (k^2 + pi^2)/Ra is a growth's share"""
 
 for name, plates, what, source in (

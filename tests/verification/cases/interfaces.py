@@ -273,7 +273,7 @@ for name, what, (of_amounts, width, of_map, sharp, thick, outlined) in (
     ),
 ):
     CASES(f"""interface-{name}{" (reduced)" * (name == "rotation")}
-        The fraction of {what} stays near [0, 1], its area is conserved, its interface smears over a few
+        The fraction of {what} stays near [0, 1], its area is conserved, and its interface smears over a few
         cells.
         label: benchmarks: rigid rotation, Zalesak (1979), LeVeque (1996)
         setting: Cells of {MAXH} m, 100 steps a second by the midpoint rule, limited; amounts of two bodies

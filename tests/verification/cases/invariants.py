@@ -116,7 +116,8 @@ class PrintedMooneyRivlin(nv.MooneyRivlin):
     label: Euler-large-viscoelastodyn-H, H-flow-rule
     setting: {SETTING}; MooneyRivlin, creep with G_m = 2 Pa s, 0.5 m/s; h = 0.8, 0.4 and 0.2 m with tau = 0.02
       h, until {DURATION} s.
-    - last rate of [difference; ours; printed] >= 0.8: first order in tau ~ h
+    - last rate of [the difference; the package's H - Cof F; the printed H - Cof F] >= 0.8: first order in
+      tau ~ h
     - difference over the sum of the defects <= 2.0: one, if both runs had the same F
     - largest |closure| <= 1e-10: both rows are in the balance
     """)
@@ -124,12 +125,13 @@ def _printed() -> Measured:
     """Compare the printed equation with the package's. The runs use the coupled solver, because the printed
     rate is not linear in the variables."""
     table = RateTable("H of the two runs as tau and h go to zero")
+    names = ("the difference", "the package's H - Cof F", "the printed H - Cof F")
     materials = COFACTORS, PrintedMooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0, epsilon=0.1, elastic_state="F")
     for h in LEVELS[:3]:
         ours, printed = (_run(of, h, 0.0, creep=2.0, solver="coupled") for of in materials)
         gap = distance(ours.fields["H"], printed.fields["H"], ours.mesh)
         of_both = (defects(run)["H - Cof F"] for run in (ours, printed))
-        table.add(h, **dict(zip(("difference", "ours", "printed"), (gap, *of_both), strict=True)))
+        table.add(h, **dict(zip(names, (gap, *of_both), strict=True)))
     last, *others = (errors[-1] for errors in table.errors.values())
     yield from table.lasts("last rate of {}")
     yield "difference over the sum of the defects", last / sum(others)
@@ -311,7 +313,7 @@ for kind in KINDS:
         """)(partial(mass, kind))
     CASES(f"""cut-off-{kind}
         With the cut-off 0 < rho <= rho_max + 1 holds in {KINDS[kind]}, with any delta and without, for m = 0
-          and m = 1, in a problem whose density exceeds it without the cut-off.
+          and m = 1, in a problem whose density exceeds this bound without the cut-off.
         label: {"cut-off, Euler-small-est3+++" if not finite else "cut-off, Euler-large-est"}
         setting: A soft tube of 1 m x 0.125 m (K_e = 1 Pa, G_e = 0.5 Pa, K_v = G_v = 0.1 Pa s), density 1, v =
           3 sin(2 pi x) m/s, until 0.3 s; rho_max = {RHO_MAX:g}; delta = 0, 1e-4 and 1e-3 (r = 4), h = 1/8 and

@@ -143,7 +143,7 @@ def _profile(run: nv.Simulation) -> np.ndarray:
       highest published one
     - height at 3 Myr over the higher published one in [0.81, 1.1]: a tenth above the highest and below the
       lowest published one
-    - where it is highest, from the axis, m <= 5e4: on the axis, within a cell
+    - distance of the highest place from the axis, m <= 5e4: on the axis, within a cell
     - drift
     - closure
     """)
@@ -162,7 +162,10 @@ def _rising() -> Measured:
     heights = profiles.max(axis=0)
     yield "height at 3 Myr over the lower published one", heights[-1] / min(PUBLISHED)
     yield "height at 3 Myr over the higher published one", heights[-1] / max(PUBLISHED)
-    yield "where it is highest, from the axis, m", float(np.argmax(profiles[:, -1])) * LENGTH / 2 / 56
+    yield (
+        "distance of the highest place from the axis, m",
+        float(np.argmax(profiles[:, -1])) * LENGTH / 2 / 56,
+    )
     head = "t, Myr | highest, m | lowest, m | plume's centroid above the bottom, m"
     rows = np.array([times, heights, profiles.min(axis=0), places]).T[::5]
     yield Table("the surface and the plume", head, rows)

@@ -130,7 +130,7 @@ for kind in NAMES:
         reduced = " (reduced)" * (series == SERIES[0] and kind == "linear")
         CASES(f"""manufactured-{series.dim}d{order}-{NAMES[kind]}{reduced}
             With k = {series.k} the whole system with all its terms converges in space in {series.dim}D:
-              {claim}, rho and z with order {fields}, but no more than they are given by v.
+              {claim}, rho and z with order {fields}, but with no higher order than v admits.
             label: {LABELS[kind]}
             setting: {TERMS} (delta only for m >= 1); {MESHES[series.dim][2]}; two steps of 0.05 s with the
               discrete time derivative in the sources; the solver chosen by itself (3D: the split one).

@@ -45,8 +45,8 @@ def _lagrangian(n: int, shear: float = SHEAR) -> np.ndarray:
 
 
 @CASES(f"""swirl-on-a-moving-mesh
-    A swirling elastic solid in a box has the kinetic energy, step by step, that a mesh gives which moves with
-      the solid.
+    A swirling elastic solid in a box has, step by step, the kinetic energy that is computed on a mesh which
+      moves with the solid.
     label: benchmark: displacements of order 2 on a mesh that moves
     setting: Neo-Hookean solid, K_e = {BULK:g} Pa, G = {SHEAR:g} Pa, {VISCOSITY:g} Pa s, 1 kg/m3, with weight
       in the unit box, whose walls let it slide; {CUBES[0]} and {CUBES[1]} cubes along an edge, k = 2, m = 1,

@@ -67,9 +67,9 @@ def _soft_disc(sharp: bool) -> Measured:
     }
     area, rate, width = column["inside"][-1] / math.pi, -column["turning"][-1], column["smeared"][-1]
     angle = np.degrees(column["angle"])
-    yield f"D off {D:g}, over it", abs(column["D"][-1] / D - 1)
-    yield f"angle off {ANGLE:g} degrees", abs(angle[-1] - ANGLE)
-    yield "rate of going round", rate
+    yield f"relative difference of D from {D:g}", abs(column["D"][-1] / D - 1)
+    yield f"difference of the angle from {ANGLE:g} degrees", abs(angle[-1] - ANGLE)
+    yield "rate of rotation of the matter", rate
     yield "area within fraction 1/2", area
     yield "width of the interface, cells", width
     yield "change of the mass", np.abs(column["mass"] / column["mass"][0] - 1).max()
@@ -102,9 +102,9 @@ for name, what, of_d, (slow, fast), (small, large), (thin, thick) in (
         label: benchmark: Eshelby's uniform fields
         setting: Ca = {CAPILLARY:g}, Re = {REYNOLDS:g}, K_e = {BULK:g} mu gamma, a cell of {SIZE:g} a squared,
           {CELLS} cells across the disc, gamma tau = {TAU:g}, midpoint rule until {STRAINS:g} strains{what}.
-        - D off {D:g}, over it <= {of_d}: the cell's finite size and the mesh
-        - angle off {ANGLE:g} degrees <= 2: the same
-        - rate of going round in [{slow}, {fast}]: slower than a rigid disc; the closed form in a
+        - relative difference of D from {D:g} <= {of_d}: the cell's finite size and the mesh
+        - difference of the angle from {ANGLE:g} degrees <= 2: the same
+        - rate of rotation of the matter in [{slow}, {fast}]: slower than a rigid disc; the closed form in a
           cell of 6 a has 0.462
         - area within fraction 1/2 in [{small}, {large}]: the disc loses smeared area; the goal is 2 %;
           stated after the first run

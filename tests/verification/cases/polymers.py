@@ -105,7 +105,7 @@ def extension(form: str, rate: float) -> float:
 
 @CASES("""polymers-extension
     The extensional viscosity of fluids of Phan-Thien and Tanner is finite at all rates, and has the values of
-      their closed form; Oldroyd's fluid has no finite one at Wi = 1/2.
+      their closed form; Oldroyd's fluid has no finite extensional viscosity at Wi = 1/2.
     label: Phan-Thien, Tanner 1977
     setting: A box of 1 m that a planar extension flows through, v = rate (x, -y) on its walls, where entering
       matter has the state inside; lambda = 1 s, Wi = 0.3, 1, 3, until 20 s by steps of 0.1 s.

@@ -70,7 +70,7 @@ def oscillation(n: int, maxh: float) -> tuple[nv.Simulation, complex, np.ndarray
     - relative error of 1S0 <= 1e-2: four quadratic cells in a radius
     - least of both errors >= 1e-8: a smaller error would not be the mesh's
     - least ratio of the errors of both meshes >= 3.0: order h^2 at least: 2^2 = 4
-    - change of the momentum along the axis, over its size <= 1e-3: the mesh is not symmetric
+    - change of the momentum along the axis, over the integral of its size <= 1e-3: the mesh is not symmetric
     - change of the energy <= 1e-4: the problem is linear except for upwinding
     - closure
     """)
@@ -95,7 +95,7 @@ def _radial() -> Measured:
         "least ratio of the errors of both meshes",
         min(errors[n, coarse] / errors[n, best] for n in range(len(BRACKETS))),
     )
-    yield "change of the momentum along the axis, over its size", max(moved)
+    yield "change of the momentum along the axis, over the integral of its size", max(moved)
     yield "change of the energy", max(changes)
     yield Table("frequencies", "n | triangles | omega, 1/s | exact | error | decay, 1/s", rows)
     fine = np.linspace(0, PERIODS, 200)

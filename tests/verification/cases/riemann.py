@@ -276,8 +276,8 @@ def _samples(reference: dict[str, np.ndarray], places: np.ndarray) -> dict[str, 
       midpoint rule; the reference has 400 and 800 cells and is extrapolated.
     - rate of [density; temperature; velocity; entropy] >= 1.8: 2 by P1 and the midpoint rule
     - largest error at 100 cells <= 2e-3: set after the entropy was seen: 6e-4
-    - error of the reference's own step, of the entropy <= 5e-4: extrapolation removes a third of it
-    - error of the entropy without its heat in the reference >= 0.1: the negative control
+    - error of the entropy by the reference's step <= 5e-4: extrapolation removes a third of it
+    - error of the entropy against a reference without heat >= 0.1: the negative control
     - closure
     """)
 def _profiles() -> Measured:
@@ -301,8 +301,8 @@ def _profiles() -> Measured:
         table.add(1 / cells, **{name: off(values, exact, name) for name in names})
     yield from table.lasts()
     yield "largest error at 100 cells", max(errors[-1] for errors in table.errors.values())
-    yield "error of the reference's own step, of the entropy", off(fine, coarse, "entropy")
-    yield "error of the entropy without its heat in the reference", off(values, cold, "entropy")
+    yield "error of the entropy by the reference's step", off(fine, coarse, "entropy")
+    yield "error of the entropy against a reference without heat", off(values, cold, "entropy")
     yield table.table()
     shown = ("temperature", "entropy")
     curves = [Curve(n, places, values[n], "-") for n in shown]

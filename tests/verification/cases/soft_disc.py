@@ -197,14 +197,14 @@ def _strain_of_passive_disc(cells: tuple[int, int], sharp: bool) -> np.ndarray:
       K_e = 50 Pa; disc of radius 0.2 m at (0.5, 0.7) m with a shear modulus of 1e-8 Pa; 7 columns of 8 rows,
       and 10 of 11, velocities of order 3, midpoint rule, dt = 0.05 s; strains are tr X - 3 n over the disc's
       area.
-    - 7 columns, not sharp: error of the strain at the turn, over it <= 0.15: it is 0.803 by points that the
+    - 7 columns, not sharp: relative error of the strain at the turn <= 0.15: it is 0.803 by points that the
       flow carries
     - 7 columns, not sharp: strain at the end over that at the turn in [0.05, 0.15]: 0.11 in a trial; right is
       0
-    - 7 columns, outlines: error of the strain at the turn, over it <= 0.15: as above
+    - 7 columns, outlines: relative error of the strain at the turn <= 0.15: as above
     - 7 columns, outlines: strain at the end over that at the turn in [-0.15, 0.15]: right is 0; it was 0.56
       before sharp bodies kept their slopes and determinants
-    - 10 columns, outlines: error of the strain at the turn, over it <= 0.15: it is 0.819
+    - 10 columns, outlines: relative error of the strain at the turn <= 0.15: it is 0.819
     - 10 columns, outlines: strain at the end over that at the turn in [-0.15, 0.15]: as above; it was 0.48
     """)
 def _given_back() -> Measured:
@@ -212,7 +212,7 @@ def _given_back() -> Measured:
     for name, of_mesh, sharp in (("not sharp", 0, False), ("outlines", 0, True), ("outlines", 1, True)):
         strains, case = _strain_of_passive_disc(CELLS[of_mesh], sharp), f"{CELLS[of_mesh][0]} columns, {name}"
         turn, end = strains[3], strains[-1]
-        yield f"{case}: error of the strain at the turn, over it", abs(turn / exact[of_mesh] - 1)
+        yield f"{case}: relative error of the strain at the turn", abs(turn / exact[of_mesh] - 1)
         yield f"{case}: strain at the end over that at the turn", end / turn
         rows.append(strains)
     carried = [0.117, 0.426, 0.695, 0.803, 0.697, 0.432, 0.124, 0.001]
@@ -235,7 +235,7 @@ here."""
       cells of 0.1, 0.05 and 0.025 m, velocities of order 3, midpoint rule, dt = 0.2 s/m of the cells' size,
       until 1 s.
     - closure
-    - energy that the scheme takes or gives, over the start's <= 0.01: second order
+    - energy that the scheme takes or gives, over the energy at the start <= 0.01: second order
     - elastic energy: error over its peak, cells of 0.025 m <= 0.2: ten cells a radius
     - elastic energy: least order of the error >= 0.8: one at interfaces
     - elastic energy: time of its peak, error, s <= 0.03: a step and a half of the table
@@ -267,7 +267,7 @@ def _oscillating() -> Measured:
         taken = sum(column(name).sum() for name in NUMERICAL) * 4 / kinetic[0]
         rows.append([maxh, t[stored.argmax()], stored.max(), taken])
         curves.append(Curve(f"cells of {maxh:g} m", t, stored, "-"))
-    yield "energy that the scheme takes or gives, over the start's", abs(rows[-1][3])
+    yield "energy that the scheme takes or gives, over the energy at the start", abs(rows[-1][3])
     yield "elastic energy: error over its peak, cells of 0.025 m", errors.errors["elastic energy"][-1]
     yield "elastic energy: least order of the error", min(errors.rates("elastic energy"))
     yield "elastic energy: time of its peak, error, s", abs(rows[-1][1] - times[elastic.argmax()])

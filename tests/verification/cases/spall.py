@@ -100,8 +100,9 @@ def _moved(breaks: bool) -> tuple[nv.Simulation, np.ndarray, np.ndarray]:
     - largest damage in [0.9, 1]: broken
     - new crack over the section in [0.9, 1.8]: one crack, and the row of cells that breaks
     - mean velocity of the scab at the end over the surface's in [0.7, 1]: the scab flies off with its impulse
-    - velocity of the control's surface at the end over its largest in [-0.15, 0.15]: the pulse has left
-    - least of damage's dissipation and distance, sign, over the pulse's energy >= -1e-12: entry by entry
+    - velocity of the control's surface at the end over its largest velocity in [-0.15, 0.15]: the pulse has
+      left
+    - least dissipation or bregman term of the damage over the pulse's energy >= -1e-12: entry by entry
     - change of the mass <= 1e-10: conserved
     - closure
     """)
@@ -128,12 +129,12 @@ def _spall() -> Measured:
     yield "new crack over the section", column("crack_growth")[1:].sum() / CELL
     yield "mean velocity of the scab at the end over the surface's", momentum / mass / plateau
     yield (
-        "velocity of the control's surface at the end over its largest",
+        "velocity of the control's surface at the end over its largest velocity",
         of_control[-1, 1] / of_control[:, 1].max(),
     )
     parts = (column("dt") * column("dissipation_damage"), column("bregman_damage"))
     yield (
-        "least of damage's dissipation and distance, sign, over the pulse's energy",
+        "least dissipation or bregman term of the damage over the pulse's energy",
         min(part[1:].min() for part in parts) / energy,
     )
     yield "change of the mass", abs(masses / masses[0] - 1).max()

@@ -273,7 +273,7 @@ def oscillation(degree: int, maxh: float, material: nv.Material) -> tuple[nv.Sim
     - least ratio of the errors of both meshes >= 2.0: order h^2 at least: 1.55^2 = 2.4
     - difference of finite and small strain, 0T2 <= 1e-3: strains of half a per cent
     - change of the energy, less what upwinding dissipates <= 1e-5: the problem is linear except for upwinding
-    - energy that upwinding dissipates, over all in [0, 5e-3]: 0T4 on the coarse mesh has three cells in a
+    - share of the energy that upwinding dissipates in [0, 5e-3]: 0T4 on the coarse mesh has three cells in a
       half-wave
     - closure
     """)
@@ -304,7 +304,7 @@ def _toroidal() -> Measured:
     yield "least ratio of the errors of both meshes", min(gains)
     yield "difference of finite and small strain, 0T2", abs(abs(finite.imag) / rows[0][2] - 1)
     yield "change of the energy, less what upwinding dissipates", max(changes)
-    yield "energy that upwinding dissipates, over all", max(upwinding)
+    yield "share of the energy that upwinding dissipates", max(upwinding)
     yield "Until upwinding had a column the bound was 1e-4 for all; 1.3e-3 was seen before 5e-3 was written."
     yield Table("frequencies", "l | tetrahedra | omega, 1/s | exact | error | decay, 1/s", rows)
     yield Plot("Toroidal modes, finer mesh", "t, periods of each", "amplitude of v", curves)
@@ -329,7 +329,7 @@ TALL = 2.0
       s, until 4 s; the step's own factor is undone.
     - frequency over Lamb's in [0.995, 1.005]: 24 cubic cells in a wave
     - a control: error of the frequency of a gas without weight >= 0.04: the cut-off counts
-    - density at the top over exp(-{TALL:g}), off by <= 1e-3: quadratic cells
+    - relative error of the density at the top, exp(-{TALL:g}) <= 1e-3: quadratic cells
     - closure
     """)
 def _cut_off() -> Measured:
@@ -348,7 +348,7 @@ def _cut_off() -> Measured:
     )
     rho, v = run.fields["density"], run.fields["velocity"]
     yield (
-        f"density at the top over exp(-{TALL:g}), off by",
+        f"relative error of the density at the top, exp(-{TALL:g})",
         abs(rho(run.mesh(0.1, TALL)) * math.exp(TALL) - 1),
     )
     times, values = followed(run, 40, lambda run: Integrate(rho * v[1] * shape, run.mesh, order=10))
@@ -392,8 +392,8 @@ class _Cells(nv.Observer):
     - cells over those of the fine mesh <= {1 / 3}: a third
     - error over that of the fine mesh <= 1.0: the same error
     - relative error of v <= 0.01: the fine mesh has half of it
-    - energy that transfers take, over all <= 1e-3: one part in a thousand
-    - energy that one transfer gives, over all <= 1e-12: projections give none
+    - share of the energy that transfers take <= 1e-3: one part in a thousand
+    - share of the energy that one transfer gives <= 1e-12: projections give none
     - largest |mass drift| <= 1e-13: exact
     - closure
     """)
@@ -428,8 +428,8 @@ def _pulse() -> Measured:
     yield "cells over those of the fine mesh", of_refined / of_fine
     yield "error over that of the fine mesh", error / fine
     yield "relative error of v", error
-    yield "energy that transfers take, over all", taken.sum()
-    yield "energy that one transfer gives, over all", -taken.min()
+    yield "share of the energy that transfers take", taken.sum()
+    yield "share of the energy that one transfer gives", -taken.min()
     yield "largest |mass drift|", drift(run)
     head = "mesh | cells in the mean | relative error of v | by transfers"
     yield from Table("meshes", head, rows).drawn(1, 2, by=0, log="xy")

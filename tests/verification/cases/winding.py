@@ -71,9 +71,10 @@ TABLE: tuple[tuple[Literal["F", "B"], float, float, tuple[float, ...]], ...] = (
       {VISCOSITY:g} Pa s, lid 16 x²(1 − x)² m/s ramped until 0.2 s.
     - largest error |det B − 1| <= 0.03: first order in tau, 0.02 s, at the lid's corners
     - runs by F that ended by name in [3, 3]: all three runs: det F deviates from J by 10 % in a cell
-    - the last of these ended at, s in [0.1, 1]: from two to twenty Maxwell times
-    - the first of these ended at, s in [0.1, 1]: two Maxwell times, which the lid needs to turn matter
-    - runs by F that warned before in [3, 3]: each of them
+    - time at which the last run by F ended, s in [0.1, 1]: from two to twenty Maxwell times
+    - time at which the first run by F ended, s in [0.1, 1]: two Maxwell times, which the lid needs to turn
+      matter
+    - runs by F that warned before they ended in [3, 3]: each of them
     - closure
     """)
 def _side_by_side() -> Measured:
@@ -104,9 +105,9 @@ def _side_by_side() -> Measured:
         warned[state] += sum(issubclass(w.category, nv.DefectWarning) for w in caught)
     yield "largest error |det B − 1|", max(gaps)
     yield "runs by F that ended by name", len(ends)
-    yield "the last of these ended at, s", max(ends)
-    yield "the first of these ended at, s", min(ends)
-    yield "runs by F that warned before", warned["F"]
+    yield "time at which the last run by F ended, s", max(ends)
+    yield "time at which the first run by F ended, s", min(ends)
+    yield "runs by F that warned before they ended", warned["F"]
     head = "form | h, m | tau, s | t, s | det A from | to | largest tr A | stored, J | defect"
     title = "a creeping neo-Hookean body under a lid; A = J^(−2/3) F Fᵀ, or B"
     yield from Table(title, head, rows).drawn(3, 4, 5, by=0)
@@ -121,7 +122,7 @@ def _side_by_side() -> Measured:
       0.025 and 0.0125 s.
     - largest error |det B − 1| <= 0.1: first order in tau, 0.05 s, at the lid's corners
     - rate of the stress in the Maxwell time >= 0.7: of first order in Wi
-    - error of the stress at the smallest one <= 0.05: of the order of Wi
+    - error of the stress at the smallest Maxwell time <= 0.05: of the order of Wi
     - Maxwell times of the first run in [100, 100]: what is claimed
     - closure
     """)
@@ -148,7 +149,7 @@ def _cavity() -> Measured:
         rows.append([maxwell_time, until / maxwell_time, low, high, max(1 - low, high - 1)])
     yield "largest error |det B − 1|", max(row[-1] for row in rows)
     yield "rate of the stress in the Maxwell time", table.last("stress")
-    yield "error of the stress at the smallest one", table.errors["stress"][-1]
+    yield "error of the stress at the smallest Maxwell time", table.errors["stress"][-1]
     yield "Maxwell times of the first run", rows[0][1]
     yield Table("det B", "Maxwell time, s | Maxwell times | from | to | off one", rows)
     yield table
