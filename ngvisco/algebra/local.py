@@ -203,8 +203,7 @@ class LocalMatrix:
         if np.iscomplexobj(loads):
             return self.summed(loads.real.copy()) + 1j * self.summed(loads.imag.copy())
         flat = loads.reshape(prod(loads.shape[:-1]), self.unknowns.size)
-        flat = (self.scatter @ np.ascontiguousarray(flat.T)).T
-        return flat.reshape(*loads.shape[:-1], self.width)
+        return (self.scatter @ np.ascontiguousarray(flat.T)).T.reshape(*loads.shape[:-1], self.width)
 
     def by_cells(self, columns: np.ndarray) -> np.ndarray:
         """Apply the matrix at the nodes to ``columns``, (width, n) -> (cells, n, nodes of a cell)."""

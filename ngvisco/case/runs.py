@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import time as clock
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,9 @@ from ngsolve import CoefficientFunction, Mesh
 
 from ngvisco.case.build import Case, parse_case
 from ngvisco.case.directory import RunDirectory
-from ngvisco.case.faults import in_case
+from ngvisco.case.faults import CaseError, in_case
+from ngvisco.case.section import given
+from ngvisco.case.toml import parse_override
 from ngvisco.errors import CheckpointError, NgviscoError, ParameterError, StepError
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import distributed
@@ -39,6 +42,8 @@ from ngvisco.run.transfer import resume_changed, transfer
 
 _CHANGEABLE = "title, time, loads, walls, numbers of material and rheology, solver, output except passive"
 """Keys that ``--set`` may change in a resumed run."""
+_KINDS = re.compile(r"domain\.geometry|(bodies\.\d+\.)?material\.kind")
+"""Keys that cannot change in a resumed run, and on which the names of other keys depend."""
 
 
 def run(
@@ -243,14 +248,21 @@ def _check_times(
 
 def changed(place: RunDirectory, case: Case, settings: Sequence[str]) -> Case:
     """The directory's case with settings; raises CaseError for the key of a setting that may not change."""
-    new = parse_case(case.resolved, case.source, case.directory, settings)
+    message = (
+        f"this key cannot change when a run goes on (keys that can: {_CHANGEABLE}); start a new run "
+        f"from the fields of this run: ngvisco run CASE -o NEW --from {place.path}"
+    )
+    try:
+        new = parse_case(case.resolved, case.source, case.directory, settings)
+    except CaseError:  # another kind has other keys: the error names the key of the kind, and not these
+        for setting in (text for text in settings if "=" in text):
+            path, value = parse_override(setting)
+            if _KINDS.fullmatch(".".join(path)) and value != given(case.sections, path):
+                raise replace(case.locator, overridden=[path]).error(path, message) from None
+        raise
     before, after = _fixed(case), _fixed(new)
     for key, value in before.items():
         if after[key] != value:
-            message = (
-                f"this key cannot change when a run goes on (keys that can: {_CHANGEABLE}); start a new run "
-                f"from the fields of this run: ngvisco run CASE -o NEW --from {place.path}"
-            )
             where = tuple(key.split("."))
             set_there = [path for path in new.locator.overridden if path[: len(where)] == where]
             raise new.locator.error((set_there or [where])[0], message)

@@ -116,8 +116,7 @@ class Ranges:
     def __init__(self, step: Step, sampler: Sampler, means: CellMeans) -> None:
         self.step, self.sampler, self._means = step, sampler, means
         self.names = [v.name for v in step.model.material.variables if isinstance(v, Parameter)]
-        slices = step.layout.states.slices
-        self.components = [slices[name].start for name in self.names]
+        self.components = [step.layout.states.slices[name].start for name in self.names]
         if self.names:
             self._values = CF(tuple(step.now.z[int(i)] for i in self.components))
 

@@ -72,8 +72,7 @@ class StoredEnergy:
 
     def tested_slope(self, u: UnknownValues, w: UnknownValues) -> list[CoefficientFunction]:
         """Summands of phi'(z) : X, X the test function of zeta, with their derivative by z."""
-        slope = self._conjugates(u)
-        return [inner(S, w.zeta_tensors[name]) for name, S in slope.items()]
+        return [inner(S, w.zeta_tensors[name]) for name, S in self._conjugates(u).items()]
 
     def curved(
         self, u: UnknownValues, slope: CoefficientFunction, test: CoefficientFunction

@@ -93,8 +93,7 @@ class Impulses:
         """Function that returns rows of v, of this rank's cells, by arrays, faster than the forms."""
         test = self._space.TestFunction()
         self._groups = self._by_groups(step.now, self._tests(test, Grad(test)))
-        internal = (ELASTIC, ENTERING, SKEW, CHANGE)
-        self.names = [name for name in self._groups if name not in internal]
+        self.names = [name for name in self._groups if name not in (ELASTIC, ENTERING, SKEW, CHANGE)]
         """Names of the causes of forces; loads come first."""
         if self._is_held.any() and HELD_BY_WALLS not in self.names:
             self.names.append(HELD_BY_WALLS)

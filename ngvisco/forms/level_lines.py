@@ -84,8 +84,7 @@ class LevelLines:
         corner = [(1 - back) * end + back * start for end, start in sides]
         lambdas = (1 - along) * corner[0] + along * corner[1]
         reference = lambdas @ np.array(VERTICES[ET.TRIG])[:, :2]
-        count = (_PIECES + 1) ** 2
-        points = mesh_points(self._mesh, np.repeat(self._cells, count), reference.reshape(-1, 2))
+        points = mesh_points(self._mesh, np.repeat(self._cells, (_PIECES + 1) ** 2), reference.reshape(-1, 2))
         values = np.asarray(self._phi(points)).reshape(lambdas.shape[:3]) - self._level[:, None, None]
         values, coordinates = _triangles(values[..., None])[..., 0], _triangles(lambdas)
         edges = np.diff(coordinates[..., 1:], axis=-2)

@@ -198,8 +198,7 @@ class Rates:
     def pressure(self, u: UnknownValues) -> CoefficientFunction:
         """Pressure -tr T/3 from the projected conjugates, Pa."""
         zero = 0 * embed_gradient(u.grad_v, u.dim)
-        identity = identity_like(zero) + zero
-        power = rate_power(self.material, u.z_tensors, u.zeta_tensors, identity, zero)
+        power = rate_power(self.material, u.z_tensors, u.zeta_tensors, identity_like(zero) + zero, zero)
         return (-1 / 3) * power - self.stored(u)
 
     def hardening_rate(

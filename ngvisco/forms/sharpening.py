@@ -164,8 +164,7 @@ class Sharpening:
         if self._distances is not None:
             self._distances.carry(tau)
         count, is_apart = len(self._amounts), np.zeros(len(self._mass), dtype=bool)
-        heights = -np.einsum("kond,kod->kon", tau * self._velocity[:, self._on], self._slopes)
-        strips = np.maximum(heights, 0.0)
+        strips = np.maximum(-np.einsum("kond,kod->kon", tau * self._velocity[:, self._on], self._slopes), 0.0)
         is_passed = strips.max(axis=(1, 2), initial=0.0) >= 1  # strips reach beyond the cell
         pairs = {
             (i, j): ~is_passed & self._is_pair(self._start, i, j) & self._is_pair(u, i, j)

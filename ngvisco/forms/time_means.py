@@ -289,8 +289,7 @@ def mean_on_walls(
     for i, (u, w) in enumerate(zip(trial, test, strict=True)):
         mass += u * w * measure
         load += (value[i] if value.dims else value) * w * measure
-    on_walls = scalar.GetDofs(walls)
-    active = BitArray([bool(flag) for _ in range(value.dim) for flag in on_walls])
+    active = BitArray([bool(flag) for _ in range(value.dim) for flag in scalar.GetDofs(walls)])
     matrix = mass.Assemble().mat
     # a facet of a wall is on one rank, with all unknowns that couple to it
     inverse = getattr(matrix, "local_mat", matrix).Inverse(active, inverse="umfpack")

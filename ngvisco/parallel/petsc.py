@@ -66,8 +66,7 @@ def petsc() -> Any:
 
 def packages() -> dict[str, bool]:
     """Whether this PETSc was built with each of ``PACKAGES``, by name."""
-    has = petsc().Sys.hasExternalPackage
-    return {name: bool(has(name)) for name in PACKAGES}
+    return {name: bool(petsc().Sys.hasExternalPackage(name)) for name in PACKAGES}
 
 
 def obstacle(method: str) -> str | None:

@@ -83,8 +83,7 @@ def check_bound(material: Material, field: str, function: Callable[..., Coeffici
     sampling = _sampling("check_bound", material, 3, 0.4, 0)
 
     def at(states: np.ndarray) -> np.ndarray:
-        tensors = sampling.space.tensors
-        return evaluated(lambda c: function(**tensors(lambda: c)), states)[:, 0]
+        return evaluated(lambda c: function(**sampling.space.tensors(lambda: c)), states)[:, 0]
 
     z_rest, states = rest_state(material, 3), sampling.changed(sampling.fitting())
     if not (value := float(at(z_rest[None])[0])) > 0:
@@ -132,7 +131,8 @@ def _of_state(
     except NgviscoError:
         raise
     except Exception as error:  # a user's function may raise any error
-        raise refusal(f"a function of {names}, {but} raises {type(error).__name__}: {error}") from error
+        hint = "; the arguments are the names of transported variables" * ("argument" in str(error))
+        raise refusal(f"a function of {names}, {but} raises {type(error).__name__}: {error}{hint}") from error
     if not isinstance(phi, CoefficientFunction):
         raise refusal(f"a function of {names} that returns a coefficient function, not {phi!r:.60}")
     if phi.dim != 1 or phi.is_complex:
@@ -345,8 +345,7 @@ def _worst_bregman(
     first_order = np.einsum("ij,ij->i", slope_a, step)
     bregman = phi_b - phi_a - first_order
     size = np.einsum("ij,ij->i", step, step)
-    inside = np.all(evaluated(bounds, a + step) > 0, axis=1)
-    finite = np.isfinite(bregman) & (size > 0) & inside
+    finite = np.isfinite(bregman) & (size > 0) & np.all(evaluated(bounds, a + step) > 0, axis=1)
     rounding = 1e-9 * (abs(phi_a) + abs(phi_b) + abs(first_order))
     relative = np.where(finite & (bregman < -rounding), bregman / np.where(size > 0, size, 1), 0.0)
     i, samples = int(np.argmin(relative)), int(finite.sum())

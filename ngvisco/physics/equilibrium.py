@@ -104,8 +104,7 @@ def _inverse(A: np.ndarray) -> np.ndarray:
     """Inverses of symmetric 1x1 or 2x2 matrices, (..., size, size)."""
     if A.shape[-1] == 1:
         return 1 / A
-    adjoint = A[..., ::-1, ::-1] * np.array([[1, -1], [-1, 1]])
-    return adjoint / np.linalg.det(A)[..., None, None]
+    return A[..., ::-1, ::-1] * np.array([[1, -1], [-1, 1]]) / np.linalg.det(A)[..., None, None]
 
 
 def _sum(n: np.ndarray, values: np.ndarray) -> np.ndarray:

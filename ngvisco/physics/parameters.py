@@ -443,8 +443,8 @@ def _operand(value: object) -> ParameterExpression | float:
     if number is None:
         value = "a function of the place" if isinstance(value, CoefficientFunction) else value
         expected = (
-            "numbers and parameters; a function of the initial place is written as nv.Parameter(name, "
-            "start=...), and a modulus cannot be a function of the actual place"
+            "numbers and parameters; a function of the initial place (not the actual one) is written as "
+            "nv.Parameter(name, start=...). A custom energy takes CustomMaterial.transported as arguments"
         )
         raise ParameterError("expression of parameters", value, expected)
     return number

@@ -51,8 +51,7 @@ def states_of(material: Material, F: np.ndarray, dim: int) -> np.ndarray:
     """Components, (n, N), of the states of the distortions F, (n, 3, 3)."""
 
     def components(entries: Tensor) -> Tensor:
-        tensor = entries.Reshape((3, 3))
-        values = {v.name: v.from_distortion(tensor) for v in material.variables}
+        values = {v.name: v.from_distortion(entries.Reshape((3, 3))) for v in material.variables}
         return material.states(dim).components(values)
 
     return evaluated(components, F.reshape(-1, 9))

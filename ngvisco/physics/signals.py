@@ -7,6 +7,7 @@ sign within the step.
 
 import csv
 import re
+import warnings
 from collections.abc import Iterator, Sequence
 from os import PathLike, fspath
 
@@ -14,7 +15,7 @@ import numpy as np
 from ngsolve import CF, BSpline, CoefficientFunction, IfPos, Parameter
 from ngsolve.meshes import MakeStructured2DMesh
 
-from ngvisco.errors import ParameterError, as_number, require_file
+from ngvisco.errors import InputWarning, ParameterError, as_number, require_file
 
 time = Parameter(0.0)
 """Time in seconds, for functions that depend on it; its value is the end of the last step."""
@@ -22,6 +23,11 @@ time = Parameter(0.0)
 _PLACES = (0.1, 0.35, 0.6, 0.9)
 _NUMBER = re.compile(r"[+-]?\.?\d|[+-]?(nan|inf)", re.IGNORECASE)
 """Pattern of the beginning of a number."""
+_TIME = re.compile(r"(t|tau|time|τ)(?![a-z])", re.IGNORECASE)
+"""Pattern of the beginning of a name of a column of times."""
+_UNIT, _LETTERS = re.compile(r"[\[(]([^\])]+)[\])]"), re.compile(r"[^\W\d_]+|%")
+_SI = frozenset(["s", "m", "kg", "Pa", "K", "N", "W", "J", "rad"])
+"""Units that a name of a column may have; plain numbers are in products and powers of these units."""
 
 
 def reads_time(function: CoefficientFunction) -> bool:
@@ -174,11 +180,12 @@ def _rows_from(times: Sequence[float], values: Sequence[float] | Sequence[Sequen
     return np.column_stack([first, rows])
 
 
-def number_rows(field: str, source: str | PathLike[str]) -> np.ndarray:
+def number_rows(field: str, source: str | PathLike[str], timed: int = 0) -> np.ndarray:
     """The rows of numbers in a CSV file, (rows, columns), without comments after # and a line of names.
 
     Semicolons separate the numbers if the file has any, else commas.  No name begins like a number.  Raises
-    ParameterError for the parameter ``field``.
+    ParameterError for the parameter ``field``, also if the names contradict that the column ``timed``,
+    counted from 0, has times.  Warns of a name with a unit that is not an SI unit, as the unit is not read.
     """
     path = fspath(require_file(field, source))
     try:
@@ -191,7 +198,14 @@ def number_rows(field: str, source: str | PathLike[str]) -> np.ndarray:
     rows: list[list[float]] = []
     for number, text, parts in lines:
         if number == lines[0][0] and not any(_NUMBER.match(part.strip()) for part in parts):
-            continue  # line of the columns' names
+            times = [i for i, name in enumerate(parts) if _TIME.match(name.strip())]
+            if times and timed not in times:
+                raise ParameterError(field, text, f"the times in column {timed + 1} of {path!r}")
+            units = [unit for unit in _UNIT.findall(text) if not _SI.issuperset(_LETTERS.findall(unit))]
+            if units:
+                message = f"the unit {units[0]!r} of a column is not read; numbers are in SI units"
+                warnings.warn(f"{path}: {message}, or in [units] of a case file", InputWarning, 4)
+            continue
         try:
             rows.append([float(part) for part in parts])
         except ValueError:

@@ -85,8 +85,7 @@ class FacetTangent:
             rows = np.zeros((count, height, mean.size))  # H
             of_later = [np.zeros((count, later_mean.size, mean.size)) for later_mean in later]
             for p in range(mean.size):
-                direction = mean.function(p, at.coefficients)
-                u = moved(sides, r.facet_terms.fields(direction), [mean.name])
+                u = moved(sides, r.facet_terms.fields(mean.function(p, at.coefficients)), [mean.name])
                 rows[:, :, p] = self._on_sides(u)
                 for later_mean, load in zip(later, of_later, strict=True):
                     load[:, :, p] = later_mean.load(u)

@@ -70,8 +70,7 @@ class SideJumps:
         the points of ``op``, by default of all sides."""
         c, op = {"z": z} if s is None else {"z": z, "hess_square": s}, op or self.op
         context: Any = SimpleNamespace(h=Array(op.h, None), curvature=self._context.curvature.Get())
-        parts = Lazy(lambda name: Array(op.of(name)(c[name]), None), c, FACETS)
-        u = Fields(op.layout, parts, context)
+        u = Fields(op.layout, Lazy(lambda name: Array(op.of(name)(c[name]), None), c, FACETS), context)
         u.__dict__["jump"] = Array(j, None)
         return u
 

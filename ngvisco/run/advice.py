@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from ngsolve import CF, Integrate
 
+from ngvisco.errors import InputWarning
 from ngvisco.forms.sharpening import FAR
 from ngvisco.forms.tension import unborne_weight
 from ngvisco.physics.defects import may_part
@@ -38,6 +39,8 @@ _SMEARED = 4.8
 """Cells across a body whose interface fills a quarter of the body after a strain of one.  In measurements
 interfaces were 1.2 s^(1/4) cells wide after a strain s.  Where the interface filled a quarter of a body, the
 area of fractions above 1/2 was 3 % too small."""
+_MOVED = 1e-6
+"""Share of the domain's shortest edge by which matter of a run moves at least, unless it rests."""
 _ABOVE_YIELD = 0.1
 """Ratio of viscous overstress and yield stress, above which yield does not hold the stress."""
 
@@ -185,8 +188,7 @@ class Scales:
                 remedies.append(f"take discretisation.k = 3, since cells lock with k = {self.k}")
             spare = _SMALL / self.weight if self.weight > 0 else ratio / _STIFF
             if spare >= 2:
-                least = max(1 / spare, _STIFF / ratio)
-                less = f"a K_e {least:.1g} times as large is still stiff enough"
+                less = f"a K_e {max(1 / spare, _STIFF / ratio):.1g} times as large is still stiff enough"
                 remedies.append(less + (" for the weight" if self.weight > 0 else ""))
             yield (
                 f"the longitudinal modulus is {ratio:.2g} times the shear modulus, so that steps are hard "
@@ -231,12 +233,7 @@ class Scales:
                 "smaller"
             )
 
-        for name, (floor, rate) in self.floors.items():
-            if 0 < rate < floor:
-                yield (
-                    f"{name} = {floor:.2g} exceeds the scale of the rates, {rate:.2g}, so that the law does "
-                    f"not change with the rate; take {name} <= {1e-2 * rate:.1g}"
-                )
+        yield from _above_rates(self.floors)
 
     def _of_motion(self) -> Iterator[str]:
         passed, most = self.velocity * self.dt / self.cell, FAR if self.is_sharp else 1.0
@@ -321,6 +318,23 @@ def _floors(model: Model, rate: float, length: float) -> dict[str, tuple[float, 
     ]
     read = ((law, scale) for law, scale in laws if not is_even(getattr(law, "p", 0.0)))
     return {f"{type(law).__name__}.floor": (law.floor, scale) for law, scale in read if hasattr(law, "floor")}
+
+
+def _above_rates(floors: Mapping[str, tuple[float, float]]) -> Iterator[str]:
+    for name, (floor, rate) in floors.items():
+        if 0 < rate < floor:
+            yield (
+                f"{name} = {floor:.2g} exceeds the scale of the rates, {rate:.2g}, so that the law does "
+                f"not change with the rate; take {name} <= {1e-2 * rate:.1g}"
+            )
+
+
+def warn_of_floors(simulation: RunState) -> None:
+    """Warn of floors above the rates of a run in which matter moved."""
+    length, velocity = min(edges_of(simulation.rothe_step, simulation.ranks)), largest_velocity(simulation)
+    if velocity * simulation.t > _MOVED * length:
+        for line in _above_rates(_floors(simulation.model, velocity / length, length)):
+            simulation.ranks.warn(line, InputWarning, stacklevel=4)
 
 
 def largest_velocity(simulation: RunState) -> float:

@@ -248,8 +248,7 @@ class Bodies(Series):
     @property
     def jumping(self) -> dict[str, str]:
         """Columns without a derivative with respect to the state, and the reason."""
-        axes = "xyz"[: self.fractions.dim]
-        extents = [f"{axis}_{end}" for axis in axes for end in ("min", "max")]
+        extents = [f"{axis}_{end}" for axis in "xyz"[: self.fractions.dim] for end in ("min", "max")]
         reasons = dict.fromkeys(extents, "an extent jumps between points of the quadrature")
         reasons["smeared"] = "the width of an interface counts parts of cells"
         return {f"{name}_{column}": why for name in self.names for column, why in reasons.items()}

@@ -117,8 +117,7 @@ def _body_fields(step: Step, u: Fields) -> dict[str, CoefficientFunction]:
     material = step.model.material
     if not isinstance(material, Mixture):
         return {}
-    theta = material.fractions.at(u.z_tensors)
-    fields = {name + _FRACTION: CF(value) for name, value in theta.items()}
+    fields = {name + _FRACTION: CF(value) for name, value in material.fractions.at(u.z_tensors).items()}
     number, largest = CF(1.0), next(iter(fields.values()))
     for i, value in enumerate(list(fields.values())[1:], start=2):
         number = if_positive(value - largest, CF(float(i)), number)

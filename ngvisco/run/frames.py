@@ -231,8 +231,7 @@ def _cells(types: np.ndarray, where: np.ndarray) -> np.ndarray:
         raise ValueError("the file has cells other than triangles, quadrilaterals and tetrahedra")
     ends = np.cumsum(np.where(types == _TRIANGLE, 3, 4))
     first = np.concatenate([[0], ends[:-1]])[:, None] + [0, 1, 2]
-    second = ends[types == _QUADRILATERAL][:, None] + [-4, -2, -1]
-    return where[np.concatenate([first, second])]
+    return where[np.concatenate([first, ends[types == _QUADRILATERAL][:, None] + [-4, -2, -1]])]
 
 
 def cut(frame: Frame, axis: int, position: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

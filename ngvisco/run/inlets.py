@@ -73,8 +73,7 @@ class Inlets:
         """Integrands on a wall: the inflow speed times the square of the stresses' difference, times the
         square of the stresses' size, and times 1."""
         step, u = self._step, self._step.now
-        term = next(term for term in step.passages if term.name == name)
-        inward, inside, outside = term.deviators(u)
+        inward, inside, outside = next(term for term in step.passages if term.name == name).deviators(u)
         sizes = square(inside) + square(outside)
         if (law := step.model.viscosity) is not None:
             sizes = sizes + square(law.stress(sym(u.L), step.context.rates.read_values(law, u)))

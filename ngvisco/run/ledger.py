@@ -278,8 +278,7 @@ class Ledger:
         self.momentum.keep(names := list(names))
         for name in self._foreign_energies(names):
             kind: Kind = "numerical" if name == TRANSFER else "dissipation"
-            kind = "power" if name.startswith("power_") else kind
-            self.entries.append(Entry(name, kind, Integrand()))
+            self.entries.append(Entry(name, "power" if name.startswith("power_") else kind, Integrand()))
 
     def add_once(self, name: str, value: float) -> None:
         """Add the energy of a transfer, ``value``, J, to the column ``name`` of the next row."""

@@ -100,8 +100,7 @@ class Numbering:
             collocated = None if rules is None else rules.vectors(size, collocated=True).space
             spaces[f"solver/{name}"] = stress.space, collocated
         for name, field in passive.parts.items():
-            cells = None if mesh is None else passive.space(name, mesh)
-            spaces[f"passive/{name}"] = field.space, cells
+            spaces[f"passive/{name}"] = field.space, None if mesh is None else passive.space(name, mesh)
         for name, (space, of_whole) in spaces.items():
             self._numbers[name] = _Renumbering(numbers_in(part, space, of_whole), of_whole, ranks)
 

@@ -59,8 +59,7 @@ def write_scene_of_series(
     files = read_series_files(series)
     chosen = sorted({round(i) for i in np.linspace(0, len(files) - 1, min(most, len(files)))})
     states = [(files[i][0], read_frame(files[i][1])) for i in chosen]
-    there = states[0][1].fields
-    names = [name for name in USUAL if name in there] if fields is None else list(fields)
+    names = [name for name in USUAL if name in states[0][1].fields] if fields is None else list(fields)
     if not names:
         raise ParameterError("write_scene_of_series.fields", fields, "at least one field of the series")
     _write_page(states, names, path, title)

@@ -24,6 +24,7 @@ from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import distributed
 from ngvisco.parallel.petsc import require_petsc
 from ngvisco.physics.model import Model
+from ngvisco.run.advice import warn_of_floors
 from ngvisco.run.arguments import check_arguments, require_observers
 from ngvisco.run.failure import failure_report
 from ngvisco.run.files import AnyPath
@@ -270,6 +271,7 @@ class Simulation(RunState):
                     failure = failure or error
         if failure is not None:
             raise failure
+        warn_of_floors(self)
         return self.ledger
 
     def request_stop(self) -> None:

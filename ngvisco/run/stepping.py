@@ -378,8 +378,7 @@ class AdaptiveStepper:
                 history, shorter = (), tau / LARGEST_CHANGE
                 if error is not None and tolerance is not None and error > tolerance:
                     reason = f"the estimated error {error:.2e} is above the tolerance {tolerance:.2e}"
-                    fraction = (SAFETY * tolerance / error) ** (1 / (scheme.order + 1))
-                    shorter = max(shorter, tau * fraction)
+                    shorter = max(shorter, tau * (SAFETY * tolerance / error) ** (1 / (scheme.order + 1)))
                 elif reason := self._growth.refused(tau, step.rates):
                     shorter = max(shorter, self._growth.allowed(tau, step.rates, SAFETY))
                 else:

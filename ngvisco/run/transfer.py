@@ -309,6 +309,5 @@ def resume_changed(
     ledger, balance = simulation.ledger, checkpoint.balance
     loss = balance.energy - ledger.energy()
     ledger.add_once(TRANSFER, loss)
-    rows = [{name: row.get(name, 0.0) for name in ledger.columns} for row in rows]
-    ledger.resume(balance, rows, limits)
+    ledger.resume(balance, [{name: row.get(name, 0.0) for name in ledger.columns} for row in rows], limits)
     return loss

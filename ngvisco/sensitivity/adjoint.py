@@ -109,8 +109,7 @@ class Adjoint:
 
     def _put_start(self, weights: np.ndarray, put: Callable[[Follower], None]) -> None:
         """Set the step's start for all followers, if columns with ``weights`` read this start."""
-        names = self.base.columns.names
-        if any(weights[:, names.index(name)].any() for name in self.slopes.reading_start):
+        if any(weights[:, self.base.columns.names.index(name)].any() for name in self.slopes.reading_start):
             for follower in (self.base, *(f for near in self.near for f in near.followers)):
                 put(follower)
 

@@ -117,8 +117,7 @@ class Follower:
         old, walls = step.state_old.vec.FV().NumPy(), self.state[ranges["v"]].copy()
         for name in step.layout.evolving:
             self.state[ranges[name]] = (old + change)[ranges[name]]
-        fixed = ~self.free_velocity
-        self.state[ranges["v"]] = np.where(fixed & recorded.ends_at_stage, walls, v)
+        self.state[ranges["v"]] = np.where(~self.free_velocity & recorded.ends_at_stage, walls, v)
         if not recorded.ends_at_stage:
             time.Set(recorded.end)
             step.moving_walls.set_present_values()

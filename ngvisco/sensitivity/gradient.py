@@ -248,5 +248,4 @@ def _parameters(by: Sequence[str], simulation: Simulation, method: str) -> list[
     if not (names or method == "adjoint") or len(set(names)) < len(names):
         least = "" if method == "adjoint" else "at least one parameter, and "
         raise ParameterError("by", by, f"{least}no parameter twice")
-    step = AT_FIXED_STATES if method == "adjoint" else STEP
-    return [Named.of(name, simulation, step) for name in names]
+    return [Named.of(name, simulation, AT_FIXED_STATES if method == "adjoint" else STEP) for name in names]

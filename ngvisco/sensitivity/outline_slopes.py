@@ -73,8 +73,7 @@ class OutlineSlopes:
         """Slopes by v of the region's integral of f . v.  The vector f is a linear function of the columns of
         ``cut``."""
         inside, result = self.cut.inside, np.zeros((*self.theta.shape, 2))
-        edges = inside[:, 1:, _PLACE] - inside[:, :1, _PLACE]
-        areas = 0.5 * abs(np.linalg.det(edges))
+        areas = 0.5 * abs(np.linalg.det(inside[:, 1:, _PLACE] - inside[:, :1, _PLACE]))
         shares, values = inside[:, :, _SHARES], f(inside)
         products = np.einsum("tk,ta->tka", shares.sum(axis=1), values.sum(axis=1))
         products += np.einsum("tck,tca->tka", shares, values)

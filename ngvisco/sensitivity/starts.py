@@ -147,7 +147,6 @@ class Starts:
             return slope
         form.AssembleLinearization(self.step.state.vec)
         rows = csr(form.mat)[dependent]
-        multiplier = spl.splu(rows[:, dependent].T.tocsc()).solve(slope[dependent])
-        result = slope - rows.T @ multiplier
+        result = slope - rows.T @ spl.splu(rows[:, dependent].T.tocsc()).solve(slope[dependent])
         result[dependent] = 0.0
         return np.asarray(result)

@@ -97,8 +97,7 @@ class Where(Shape):
         if not np.isfinite(values).all():
             expected = "a function with finite values"
             raise ParameterError("Where.function", "a function that is not finite somewhere", expected)
-        is_indicator = bool(np.isin(values, (0.0, 1.0)).all())
-        return values - 0.5 if is_indicator else values
+        return values - 0.5 if bool(np.isin(values, (0.0, 1.0)).all()) else values
 
 
 @dataclass(frozen=True)

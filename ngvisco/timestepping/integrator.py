@@ -287,8 +287,7 @@ class Integrator:
         """Limit the momentum density.  Return -<change of m, V> with the velocity V of a stage, J."""
         before = self._velocity.functional()
         self.bounds.limit_momentum()
-        change = self._velocity.functional() - before
-        return -self.rothe.exchange.communicator.dot(change, stage.values["v"])
+        return -self.rothe.exchange.communicator.dot(self._velocity.functional() - before, stage.values["v"])
 
     def _impulse_before_limiting(self, otherwise: np.ndarray) -> np.ndarray:
         """Impulse of the walls that follows from the density before limiting.

@@ -121,8 +121,7 @@ class TimeScheme:
     @cached_property
     def distances(self) -> np.ndarray:
         """Weights c_ik of B(y_k, U_i) in R, (stages, stages + 1)."""
-        share = np.array([b / self.A[i][i] for i, b in enumerate(self.b)])
-        result = share[:, None] * self.starts
+        result = np.array([b / self.A[i][i] for i, b in enumerate(self.b)])[:, None] * self.starts
         if not self.ends_at_last_stage:
             result[-1] += self.end
         for i in range(self.stages):

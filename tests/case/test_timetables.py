@@ -89,6 +89,8 @@ NUMBERS = {
     "decimal commas": ("t;p\n0,0;1,0\n1,0;2,0\n", "'0,0;1,0': expected numbers like 0.5 with ';'"),
     "a name too few": ("t\n0,1\n1,2\n", "'2 numbers': expected 1 numbers in line 2"),
     "words": ("t,p\n0,1\nend,end\n", "'end,end': expected numbers .* in line 3"),
+    "times in another column": ("p, Time\n0,1\n1,2\n", "'p, Time': expected the times in column 1"),
+    "SI units": ("t [s], v (m s^-1)\n0,1\n1,2\n", None),
 }
 
 
@@ -101,6 +103,26 @@ def test_a_file_of_numbers_is_read_completely_or_refused_with_the_line_at_fault(
     else:
         with pytest.raises(nv.ParameterError, match=f"table = {message}"):
             number_rows("table", path)
+
+
+@pytest.mark.parametrize(
+    ("names", "unit"), [("t [ms], p", "ms"), ("time, p (kPa)", "kPa"), ("t, e [%]", "%")]
+)
+def test_a_unit_in_the_names_of_columns_that_is_no_si_unit_is_named_as_not_read(tmp_path, names, unit):
+    (path := tmp_path / "numbers.csv").write_text(f"{names}\n0,1\n1,2\n")
+    with pytest.warns(
+        nv.errors.InputWarning, match=f"numbers.csv: the unit '{unit}' of a column is not read"
+    ):
+        assert number_rows("table", path).tolist() == [[0, 1], [1, 2]]
+
+
+def test_a_prony_table_whose_names_put_the_times_first_is_refused(tmp_path):
+    """With the shares 0.1 and 0.5, the columns in the wrong order are a valid series too."""
+    (path := tmp_path / "prony.csv").write_text("tau, g\n0.1, 0.3\n0.5, 0.2\n")
+    with pytest.raises(nv.ParameterError, match="'tau, g': expected the times in column 2"):
+        nv.read_prony(path)
+    path.write_text("g, tau_i [s]\n0.1, 0.3\n0.5, 0.2\n")
+    assert nv.read_prony(path).tolist() == [[0.1, 0.3], [0.5, 0.2]]
 
 
 PRESSED = CASE.replace('kind = "Traction"\nf = { file = "pull.csv" }', 'kind = "Open"\npressure = PRESSURE')

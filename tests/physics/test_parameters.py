@@ -52,6 +52,22 @@ def custom(energy=None):
     )
 
 
+def test_a_custom_energy_that_reads_a_parameter_which_is_not_transported_is_told_how_to_read_it():
+    theta = nv.Parameter("theta", start=1.0)
+
+    def energy(F, J):
+        return (3 + theta) * square(F) / J ** (2 / 3) + 4 * (J + 1 / J)
+
+    def with_argument(F, J, theta):
+        return (3 + theta) * square(F) / J ** (2 / 3) + 4 * (J + 1 / J)
+
+    strains = (Distortion(), Jacobian())
+    for law, message in [(energy, "CustomMaterial.transported"), (with_argument, "names of transported")]:
+        with pytest.raises(nv.ParameterError, match=message):
+            nv.CustomMaterial(transported=strains, stored_energy=law)
+    assert nv.CustomMaterial(transported=(*strains, theta), stored_energy=with_argument)
+
+
 def test_two_parameters_of_one_name_are_refused_in_any_place():
     """A parameter must not have the name of a variable of the material either. One parameter may appear in
     many places."""

@@ -56,6 +56,21 @@ def test_a_floor_above_the_rates_of_the_flow_is_named_with_a_lower_one(viscosity
     assert all("take " + name + " <= 1e-14" in line for name, line in zip(names, said, strict=True))
 
 
+@pytest.mark.parametrize(
+    ("speed", "floor", "is_named"),
+    [(1e-4, 1e-3, True), (1e-4, 1e-7, False), (1.0, 1e-3, False), (0.0, 1e-3, False)],
+)
+def test_a_run_names_a_floor_above_its_rates_at_its_end_unless_its_matter_rests(speed, floor, is_named):
+    law = nv.PowerLaw(K_v=0.1, consistency=0.1, n=0.5, floor=floor)
+    velocity = (speed * sin(pi * x) * cos(pi * y), -speed * cos(pi * x) * sin(pi * y))
+    run = small_run(material=nv.BarotropicFluid(B=10.0, gamma=2.0), viscosity=law, velocity=velocity)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        run.run(0.02)
+    said = [str(warning.message) for warning in caught]
+    assert [line.startswith("PowerLaw.floor = 0.001 exceeds") for line in said] == [True] * is_named
+
+
 def test_scales_and_numbers_follow_their_definitions():
     s = found(G_m=4.0)
     assert (s.length, s.kinematic_viscosity, s.velocity) == pytest.approx((1, 0.05, 0.5))

@@ -21,8 +21,7 @@ multiple of M if the part of c rate(M) normal to Y is at most the last number ti
 
 def slope_of(rate: PointRate, M: np.ndarray) -> np.ndarray:
     """The rate's derivative by M, (points, p, p)."""
-    units = 1j * TINY * np.eye(M.shape[1])
-    return np.stack([rate(M + unit).imag for unit in units], axis=2) / TINY
+    return np.stack([rate(M + unit).imag for unit in 1j * TINY * np.eye(M.shape[1])], axis=2) / TINY
 
 
 @np.errstate(all="ignore")  # the bracket is halved where the rate overflows

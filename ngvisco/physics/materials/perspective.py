@@ -96,8 +96,7 @@ class PerReferentialVolume(Material):
     def variables(self) -> tuple[Variable, ...]:
         tensors = (v for v in self.material.variables if isinstance(v, DistortionTensor))
         scaled = (replace(v, name=f"A{v.name}", exponent=v.exponent - 1) for v in tensors)
-        others = (v for v in self.material.variables if not v.is_strain)
-        return (*scaled, ReciprocalJacobian(), *others)
+        return (*scaled, ReciprocalJacobian(), *(v for v in self.material.variables if not v.is_strain))
 
     @property
     def referential_density(self) -> Modulus | None:

@@ -111,9 +111,10 @@ def prony_network(
 def read_prony(path: str | os.PathLike[str]) -> np.ndarray:
     """The rows (g_i, tau_i), (n, 2), of a CSV file, without comments after # and a line of names.
 
-    Raises ParameterError for a file that cannot be read, or with rows other than two numbers.
+    Raises ParameterError for a file that cannot be read, with rows other than two numbers, or with names of
+    columns by which the times come first.
     """
-    return _table(number_rows("read_prony.path", path).tolist())
+    return _table(number_rows("read_prony.path", path, timed=1).tolist())
 
 
 def _table(prony: Any) -> np.ndarray:

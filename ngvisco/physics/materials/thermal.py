@@ -274,8 +274,7 @@ class Thermal(Material):
 
     def pressure(self, theta: Any, J: Any = 1.0) -> Any:
         """The thermal pressure, Pa, which is the whole pressure of a gas."""
-        of_heat = self.coupling * (theta / J if self.is_absolute else theta - self.theta_R)
-        return of_heat - self.p_infinity
+        return self.coupling * (theta / J if self.is_absolute else theta - self.theta_R) - self.p_infinity
 
     @property
     def stiffness(self) -> float:

@@ -187,8 +187,7 @@ class FlowSchurComplement:
         size = C.shape[1]
         blocks = [[values.T @ sp.diags(C[:, i, k]) @ values for k in range(size)] for i in range(size)]
         creep = sp.bmat(blocks)
-        before = sp.csr_matrix((self.size - creep.shape[0],) * 2)
-        creep = sp.block_diag([before, creep], format="csr")
+        creep = sp.block_diag([sp.csr_matrix((self.size - creep.shape[0],) * 2), creep], format="csr")
         return creep if matrix is None else (matrix + creep).tocsr()
 
     def __call__(self, flow: np.ndarray) -> np.ndarray:

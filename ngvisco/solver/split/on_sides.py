@@ -40,8 +40,7 @@ def dissipated_on_sides(residual: ReducedResidual) -> dict[str, float]:
             powers |= of_term
         if residual.hyper is not None:
             powers |= residual.hyper.dissipated_on_sides(part.cells, iterated)
-        weights = part.sides.op.weights
-        return {name: float((weights * power.value).sum()) for name, power in powers.items()}
+        return {name: float((part.sides.op.weights * power.value).sum()) for name, power in powers.items()}
 
     parts = residual.share(totals, residual.parts)
     return {name: residual.ranks.total(sum(sums[name] for sums in parts)) for name in parts[0]}

@@ -268,8 +268,7 @@ class Preconditioner:
             alone = operator.points.resolved(np.ascontiguousarray(alone.T))
             of_z = of_z - self.fields.rows(alone)
             flow[: operator.nv] -= self._of_velocity.sum(operator.force_of(alone)).ravel()
-        force = operator.force(self.sweep.fields(of_z))
-        flow[: operator.nv] -= self._of_velocity.sum(force).ravel()
+        flow[: operator.nv] -= self._of_velocity.sum(operator.force(self.sweep.fields(of_z))).ravel()
         flow[self._held] = 0.0
         dflow = self._flow(flow, tolerance)
         dv, dPi = dflow[: operator.nv].reshape(dim, -1), None
