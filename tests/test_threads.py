@@ -1,5 +1,9 @@
 """A step has the same bits with any number of threads, and NGSolve's workers do not compete with arrays."""
 
+import os
+import subprocess
+import sys
+
 import pytest
 from ngsolve import CF, SetNumThreads
 from support import small_run
@@ -29,6 +33,16 @@ def test_a_split_step_has_the_same_bits_with_two_threads():
     finally:
         SetNumThreads(1)
     assert (together == alone).all()
+
+
+@pytest.mark.parametrize(("given", "number"), [({}, 1), ({"NGS_NUM_THREADS": "2"}, 2)])
+def test_ngsolve_has_one_thread_unless_the_user_asks_for_more(given, number):
+    program = "import ngvisco, ngsolve, pyngcore\nwith ngsolve.TaskManager(): print(pyngcore.GetNumThreads())"
+    environment = {name: value for name, value in os.environ.items() if name != "NGS_NUM_THREADS"} | given
+    done = subprocess.run(
+        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True
+    )
+    assert int(done.stdout) == number
 
 
 def test_ngsolve_has_no_workers_during_array_work():
