@@ -314,8 +314,7 @@ class Bounds:
                 self._scale("z", outside, ~of_density)
             changed = np.union1d(changed, outside.cells)
         self.takes_energy = self._ranks.total(len(changed)) > 0
-        changed = np.union1d(changed, self.stretches.limit())
-        return int(self._ranks.total(len(changed)))
+        return int(self._ranks.total(len(np.union1d(changed, self.stretches.limit()))))
 
     def limit_momentum(self) -> None:
         """Scale the step's start momentum density by the factors with which ``limit`` scaled rho."""

@@ -174,8 +174,7 @@ class _RuleSearch:
         return all(self._size(values[0] - other) <= _ROUNDING for other in values[1:])
 
     def _size(self, values: np.ndarray) -> float:
-        size = self.ranks.most(float(np.abs(values).max(initial=0.0)))
-        return size / self.largest if self.largest else 0.0
+        return self.ranks.most(float(np.abs(values).max(initial=0.0))) / self.largest if self.largest else 0.0
 
     def _changes(self, condition: TimeFunction) -> set[float]:
         """Places s at which a condition changes its sign at all points at once, to rounding.  At a moving

@@ -101,8 +101,7 @@ class MatrixHyperviscosity:
         ones = layout.states.tensors(lambda: Array(np.ones((layout.states.size, 1)), None))
         is_uniform = all(isinstance(modulus, (int, float)) for modulus in self.law.moduli(ones))
         # if Hs is constant in each cell, one point suffices for functions of Hs
-        constant = k == 2 and step.mesh.GetCurveOrder() <= 1 and is_uniform
-        self.op = Operators(step, 0) if constant else op
+        self.op = Operators(step, 0) if k == 2 and step.mesh.GetCurveOrder() <= 1 and is_uniform else op
         velocity = layout.scalar_space("v")
         self.velocities = velocity.ndof
         self.component = FESpace([velocity, layout.scalar_space(layout.names_of("normals")[0])])

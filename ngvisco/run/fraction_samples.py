@@ -52,7 +52,8 @@ class FractionSamples:
         boundary are displaced by periods, so that the body is in one piece."""
         self._moves: dict[str, GridFunction] = {}
         if len(self.periods.vectors):
-            self._moves = {name: GridFunction(VectorValued(L2(mesh, order=0), mesh.dim)) for name in names}
+            cellwise = VectorValued(L2(mesh, order=0), mesh.dim)
+            self._moves = {name: GridFunction(cellwise) for name in names}
             self.positions = {name: CF(place) + move for name, move in self._moves.items()}
 
     def read(self) -> None:

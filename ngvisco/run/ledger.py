@@ -304,8 +304,7 @@ class Ledger:
         )
         closure = energy - self.balance.energy + tau * (dissipated - worked) + remainder
         physical = (e.name for e in self.entries if e.kind in ("dissipation", "power"))
-        exchanged = tau * sum(abs(values[name]) for name in physical)
-        scale = max(abs(energy), abs(self.balance.energy), exchanged)
+        scale = max(abs(energy), abs(self.balance.energy), tau * sum(abs(values[name]) for name in physical))
         if not abs(closure) <= CLOSED * scale:
             scale = max(scale, rounding(self.step, self.sampler, tau) / CLOSED, heat(self.step))
         expected = self.balance.initial_mass + tau * inflow

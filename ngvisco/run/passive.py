@@ -111,8 +111,7 @@ class PassiveFields:
 
     def space(self, key: str, mesh: Mesh) -> FESpace:
         """The space of the part ``key`` on another mesh."""
-        is_vector = key in self._solvers and self._solvers[key].vector
-        return cells_of(mesh, self.step.discretisation.k, is_vector)
+        return cells_of(mesh, self.step.discretisation.k, key in self._solvers and self._solvers[key].vector)
 
     @property
     def unsolved(self) -> int:

@@ -213,8 +213,7 @@ class Integrals(Series):
             expected = "a mapping of names to integrands, with at least one name"
             raise ParameterError("Integrals.integrands", integrands, expected)
         for name, value in integrands.items():
-            is_scalar = isinstance(value, CoefficientFunction) and value.dim == 1
-            if not (isinstance(value, str) or is_scalar):
+            if not (isinstance(value, str) or (isinstance(value, CoefficientFunction) and value.dim == 1)):
                 raise ParameterError(f"Integrals.integrands[{name!r}]", value, "a text or a scalar function")
         self.integrands = dict(integrands)
 

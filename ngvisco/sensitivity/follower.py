@@ -195,5 +195,4 @@ class Follower:
     @cached_property
     def free_velocity(self) -> np.ndarray:
         """Mask of the coefficients of v that no wall prescribes."""
-        free = np.array(list(self.step.layout.space.FreeDofs()))
-        return free[self.step.layout.ranges["v"]]
+        return np.array(list(self.step.layout.space.FreeDofs()))[self.step.layout.ranges["v"]]

@@ -87,7 +87,8 @@ class Slopes:
                     wall, motion = name.rsplit(".", 1)
                     slopes[name] = variations.of(*table.reactions.beside_the_rows(wall, motion, trial))
             elif isinstance(table, Bodies):
-                slopes |= {name: BodySlopes(table, variations).of(name) for name in names if name in columns}
+                bodies = BodySlopes(table, variations)
+                slopes |= {name: bodies.of(name) for name in names if name in columns}
         slopes |= {name: self._extremum(name, variations) for name in names if name in self._extrema.names}
         slopes |= self._norms(variations)
         momentum = follower.simulation.ledger.momentum

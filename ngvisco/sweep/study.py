@@ -126,8 +126,7 @@ class Study:
             message = f"{self.directory}: this is a run directory; choose another directory for the study"
             raise SweepError(message)
         chosen = combinations(variations)
-        fixed = {setting.partition("=")[0].strip() for setting in settings}
-        if twice := fixed & set(chosen[0].values):
+        if twice := {setting.partition("=")[0].strip() for setting in settings} & set(chosen[0].values):
             raise SweepError(f"{min(twice)}: expected --set or --vary, but the key is in both options")
         self.cases = [load_case(path, [*settings, *variation.settings]) for variation in chosen]
         names: dict[str, str] = {}

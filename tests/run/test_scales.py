@@ -71,6 +71,21 @@ def test_a_run_names_a_floor_above_its_rates_at_its_end_unless_its_matter_rests(
     assert [line.startswith("PowerLaw.floor = 0.001 exceeds") for line in said] == [True] * is_named
 
 
+@pytest.mark.parametrize(("c", "is_named"), [(1.1e4, True), (1e3, False)])
+def test_a_heat_capacity_that_spoils_the_thermal_stress_is_named_with_its_remedy(c, is_named):
+    """c dtheta is 3.7 or 0.33 times theta_R K beta."""
+    elastic = nv.ReferentialNeoHookean(K_e=1e6, G_e=2e5)
+    heated = nv.Thermal(material=elastic, c=c, theta_R=300.0, expansion=1e-4)
+    run = small_run(material=heated, density=1.0, temperature=300.0 + 10 * x)
+    sizes = scales(run)
+    assert sizes.heat == pytest.approx(c * 10 / (300 * 1e6 * 1e-4), rel=1e-2)
+    assert [("take discretisation.m = 2" in line) for line in sizes.advice if "c dtheta" in line] == [
+        True
+    ] * is_named
+    gas = nv.Thermal(c=c, theta_R=300.0, gruneisen=0.4, rho_R=1.0)
+    assert scales(small_run(material=gas, temperature=300.0 + 10 * x)).heat == 0.0
+
+
 def test_scales_and_numbers_follow_their_definitions():
     s = found(G_m=4.0)
     assert (s.length, s.kinematic_viscosity, s.velocity) == pytest.approx((1, 0.05, 0.5))

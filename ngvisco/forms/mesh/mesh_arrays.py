@@ -47,8 +47,7 @@ def rules(dim: int, degree: int) -> dict[ET, IntegrationRule]:
 
 def values_on(wall: Region, function: CoefficientFunction, degree: int) -> np.ndarray:
     """Values of a function at the points of a rule on a wall, (points, components)."""
-    points = wall.mesh.MapToAllElements(rules(wall.mesh.dim - 1, degree), wall)
-    return np.asarray(function(points))
+    return np.asarray(function(wall.mesh.MapToAllElements(rules(wall.mesh.dim - 1, degree), wall)))
 
 
 SIMPLICES = (10, 12, 20, 21)

@@ -59,8 +59,7 @@ def transport_through_facets(along: Fields, u: Fields, G: Fields, name: Conjugat
     c, by_flux = u.context, u.layout.states.by_flux
     flow = c.crossed * (along.v * c.normal)
     if by_flux.any():
-        carried = masked(u.z_hat, by_flux) - masked(beyond_trace(u), ~by_flux)
-        return -(flow * inner(carried, G.parts[name]))
+        return -(flow * inner(masked(u.z_hat, by_flux) - masked(beyond_trace(u), ~by_flux), G.parts[name]))
     return flow * (jump_power(u) if G is u and name == "zeta" else inner(beyond_trace(u), G.parts[name]))
 
 

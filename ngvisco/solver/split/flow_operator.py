@@ -251,8 +251,7 @@ class FlowSchurComplement:
         """The change of the rows of z, (cells' unknowns, n), by increments of v, (dim, .), and of Pi."""
         rows = np.matmul(self.to_fields, self._gathered(dv)).reshape(-1, self.components)
         if dPi is not None and self.points.columns is not None:
-            values = at_points(self.points.columns[:, :, self.gradients :], dPi)
-            rows -= self.op.z.test(values).T
+            rows -= self.op.z.test(at_points(self.points.columns[:, :, self.gradients :], dPi)).T
         return rows
 
     def _rows_of(self, hyper_tangent: sp.csr_matrix | None, i: int, dtype: type) -> sp.csr_matrix:

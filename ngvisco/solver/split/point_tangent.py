@@ -154,8 +154,7 @@ class PointTangent(_AtPoints):
         self._stores = len(residual.parts) == 1
         """Whether all resolvents are stored, because the mesh is one part and they take little memory."""
         n, X = self.components, len(rates.tensors.constant)
-        kind = precision.SINGLE if self.collocated is None else np.float64
-        self.rate_slope = np.zeros((count, n, n), kind)
+        self.rate_slope = np.zeros((count, n, n), precision.SINGLE if self.collocated is None else np.float64)
         self._kept: dict[int, tuple[int, Resolvent | None]] = {}
         """Number of terms of the resolvent's series, and the resolvent if it is stored, by the first cell of
         a part."""

@@ -322,8 +322,7 @@ class Preconditioner:
         a, size, result = a.reshape(dim, -1), self.operator.nv, np.empty_like(y)
         kept, eliminated = a[:, tangent.kept], a[:, tangent.eliminated]
         rows = np.append(rows, kept)
-        of_others = tangent.E_t(eliminated)[:, : size // dim]
-        rows[:size] += self._of_velocity.sum(of_others).ravel()
+        rows[:size] += self._of_velocity.sum(tangent.E_t(eliminated)[:, : size // dim]).ravel()
         flow, increment = np.split(self.solver(rows), [len(self.free)])
         kept, da = increment.reshape(kept.shape), result[len(flow) :].reshape(a.shape)
         result[: len(flow)], da[:, tangent.kept] = flow, kept
