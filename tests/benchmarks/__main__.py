@@ -73,7 +73,7 @@ def main(arguments: list[str] | None = None) -> int:
         for maxh, creeping in product(sizes, forms):
             rows.append(measure(dim, maxh, method, chosen.threads, chosen.steps, chosen.timeout, creeping))
             print(markdown(rows[-1:]).splitlines()[-1], flush=True)
-        if series in ("2D", "3D"):  # two threads over one thread, in the middle of the series
+        if series in ("2D", "3D"):  # one mesh is also measured with the other number of threads
             middle, others = sizes[len(sizes) // 2], 3 - chosen.threads
             rows.append(measure(dim, middle, method, others, chosen.steps, chosen.timeout))
             print(markdown(rows[-1:]).splitlines()[-1], flush=True)

@@ -172,7 +172,7 @@ def measured(name: str, checkout: Path, seconds: int) -> list[str]:
         ended = subprocess.run(
             [sys.executable, str(HERE), "--one", name, file],
             cwd=checkout,
-            # NGSolve's further threads wait actively, and beside other work processor time counts it
+            # NGSolve's further threads wait actively, and processor time counts this waiting
             env={**os.environ, "PYTHONPATH": str(checkout), "NGS_NUM_THREADS": "1", "NGVISCO_THREADS": "1"},
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,

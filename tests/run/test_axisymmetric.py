@@ -55,7 +55,7 @@ def test_a_homogeneous_stretch_equals_the_stretch_of_a_material_point(solver, el
     assert abs(stress[2, 2] - stress[0, 0]) <= 1e-9 * abs(stress).max()
     assert abs(stress[1, 1] - stress[0, 0]) >= 0.1 * abs(stress).max()
     strain = np.array([a, b, a]) - div / 3
-    row = ledger.rows[-1]  # a cylinder of radius and height 1 has the volume 1/2, over 2 pi
+    row = ledger.rows[-1]  # the volume of a cylinder of radius and height 1, divided by 2 pi, is 1/2
     assert row["dissipation_stokes_bulk"] == pytest.approx(0.5 * K_v * div**2, rel=1e-9)
     assert row["dissipation_stokes_shear"] == pytest.approx(0.5 * 2 * G_v * strain @ strain, rel=1e-9)
 

@@ -304,7 +304,7 @@ def test_scales_are_the_extremes_over_bodies():
     """The fastest waves are those of the stiff body, however small it is; layers and relaxation are those of
     the other body."""
     hard, soft = (scales(of_bodies(nv.Body(name="alone", **laws))) for laws in (STIFF, SOFT))
-    for radius in (0.25, 0.05):  # the second one is smaller than a cell
+    for radius in (0.25, 0.05):  # the second disc is smaller than a cell
         place = nv.Ball((0.45, 0.5), radius)
         run = of_bodies(nv.Body(name="disc", where=place, **STIFF), nv.Body(name="rest", **SOFT))
         here = scales(run)

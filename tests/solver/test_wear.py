@@ -66,7 +66,7 @@ def test_a_slow_tangent_is_renewed_before_the_iteration_has_become_long():
     assert wear.is_dear(1e6)  # the old tangent takes 6 increments, a new one 2
     assert not wear.is_dear(1e5)  # the old tangent takes 5 increments, a new one 1.7
     wear.rate(1.5, is_new=False)
-    assert not wear.is_dear(1e6)  # a rate above 1 is divergence, which other code judges
+    assert not wear.is_dear(1e6)  # a rate above 1 is divergence, which other code handles
     wear.renew()
     wear.rate(0.05, is_new=True)
     wear.rate(0.1, is_new=False)

@@ -23,7 +23,7 @@ from scipy.fft import dctn, idctn
 from scipy.spatial import Delaunay
 
 Width: TypeAlias = Literal[3, 4]
-_SPACING = 0.6  # distance of the triangles' nodes over the size of the grid's cells
+_SPACING = 0.6  # ratio of the distance of the triangles' nodes to the size of the grid's cells
 
 
 @dataclass(frozen=True, kw_only=True)

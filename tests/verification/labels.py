@@ -97,7 +97,7 @@ def labels_in(text: str, names: Sequence[str] | None = None) -> list[str]:
 @cache
 def _pattern() -> re.Pattern[str]:
     known = "|".join(re.escape(name) for name in sorted(labels(), key=len, reverse=True))
-    # a sign continues a name if a letter follows; a full stop or a colon at the end does not
+    # a sign such as a hyphen or a full stop continues a label only before a letter
     return re.compile(rf"(?<![\w+*/–-])(?:{known})(?![\w+*]|[-/–.:=]\w)")
 
 

@@ -106,7 +106,7 @@ def run_case(case: Case, version: str) -> Result:
     Closure and drift are the largest in all runs of the case, unless the case gives values itself.
     """
     began = clock.process_time()  # other work on the machine does not count
-    time.Set(0.0)  # earlier cases have moved the time
+    time.Set(0.0)  # earlier cases have changed the time of loads
     try:
         with watched() as seen:
             outcome = collected(case.run())

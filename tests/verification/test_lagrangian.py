@@ -36,7 +36,7 @@ def test_a_disc_breathes_at_its_own_frequency_and_decays(damping: float):
     period = 2 * math.pi / math.sqrt(omega**2 - decay**2)
     rows = free.run(period, period / 64)
     left = math.exp(-2 * decay * period)
-    # after a period the velocity has its start value but for the decay
+    # after a period the velocity is the start value times the decay
     assert rows[-1, 2] / rows[0, 2] == pytest.approx(left, rel=5e-3)
     assert rows[-1, 3] <= 2e-3 * rows[0, 2]
     assert rows[-1, 5] / rows[0, 2] == pytest.approx(1 - left, abs=5e-3)
