@@ -104,7 +104,8 @@ def _walk(models: Sequence[type[Section]], path: tuple[str, ...]) -> Iterator[Ke
         names = [model.__name__ for model in models]
         required = all(model.model_fields[tag].is_required() for model in models)
         kinds, default = f"one of {', '.join(names)}", None if required else names[0]
-        yield KeyEntry((*path, tag), (), kinds, "", required, default, "Kind of the table", names[0])
+        said = "Kind, which determines the other keys of the table"
+        yield KeyEntry((*path, tag), (), kinds, "", required, default, said, names[0])
     for model in models:
         keys = [(name, field) for name, field in model.model_fields.items() if name not in TAGS]
         # tables come after plain keys

@@ -110,7 +110,7 @@ class Activated(_Activation, _Faster):
     E : float
         Activation energy.
     theta_R : float
-        Temperature at which the rule is the given one.
+        Temperature at which creep follows the given rule.
     V : float
         Activation volume; where it is > 0, pressure slows creep down.
     temperature : float, optional
@@ -136,7 +136,7 @@ class WLF(_Faster):
     C_2 : float
         Difference between theta_R and the temperature at which creep stops.
     theta_R : float
-        Temperature at which the rule is the given one.
+        Temperature at which creep follows the given rule.
     temperature : float, optional
         As for ``Activated``.
     """

@@ -20,7 +20,7 @@ class WallExchange(Checked):
     Parameters
     ----------
     potential : float, optional
-        Potential of the surroundings, with a coefficient; a function of the place and the run's time.
+        Potential of the surroundings, which needs a coefficient; a function of the place and the run's time.
     coefficient : float, optional
         Transfer coefficient of the wall; a function of the place and the run's time.
     flux : float, optional

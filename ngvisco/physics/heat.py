@@ -37,7 +37,8 @@ class WallHeat(Checked):
     Parameters
     ----------
     temperature : float, optional
-        Temperature of the surroundings, with a coefficient; a function of the place and the run's time.
+        Temperature of the surroundings, which needs a coefficient; a function of the place and the run's
+        time.
     coefficient : float, optional
         Heat transfer coefficient; a function of the place and the run's time.
     flux : float, optional

@@ -159,7 +159,8 @@ class Inflow(Passage):
         volume, 0 for bodies that are not named.  The density of the inflow is sum rho_i n_i.  Without
         amounts the bodies inside flow in.
     temperature : number or coefficient function, optional
-        Temperature of the inflow, for a material with heat; default the entropy inside.
+        Temperature of the inflow, for a material with heat. By default matter flows in with the entropy
+        inside.
     displacement : bool
         Whether the field ``displacement_NAME`` of the wall NAME is a result: w with dw/dt = v, zero at the
         start (in scripts ``Initial.values["displacement_NAME"]``), so that w.n is the integral of v.n over
@@ -208,7 +209,7 @@ class Open(Passage):
     pressure : number or coefficient function
         Pressure p, averaged over the step.  If the wall gives no other stress, no density and no values, a
         fluid flows in with its volume and density at p.  The only strain of such a fluid is the volume, and
-        its referential density is known; with an entropy the wall has to give a temperature.
+        its referential density is known; if the fluid has an entropy, the wall has to give a temperature.
     traction : vector of the mesh's dimension, optional
         Traction f, with its normal part, averaged over the step.
     impedance : pair of numbers

@@ -126,7 +126,7 @@ class Norton(_Driven):
     n : float
         Exponent of the stress.
     rate_floor : float
-        |Pi| below which psi is smoothed at zero, if nu > 0; far below the rates of interest.
+        |Pi| below which psi is smoothed at zero, if nu > 0. Choose a value far below the rates of interest.
     law : str
         Direction of Pi: "mandel", or "conformation" for a fluid by a conformation tensor.
     """
@@ -173,7 +173,7 @@ class Eyring(GradientRule):
     sigma_0 : float
         Stress that biases the jumps by the factor e.
     rate_floor : float
-        |Pi| below which psi is smoothed at zero, if nu > 0; far below A.
+        |Pi| below which psi is smoothed at zero, if nu > 0. Choose a value far below A.
     """
 
     A: Annotated[Modulus, Quantity("1/s", "> 0", 0.1, "arithmetic")]

@@ -129,7 +129,7 @@ class Damaged(Wrapper):
     material : Material
         The intact material; at finite strain A = 1/J is carried beside its variables.
     G_c : float
-        Energy of a crack per area, deformed or reference area by ``area``.
+        Energy of a crack per area of the actual or the reference state, as ``area`` says.
     length : float
         Width l of a smeared crack; cells of l/2 or less resolve it.
     law : str

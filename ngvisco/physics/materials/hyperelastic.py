@@ -156,8 +156,8 @@ class NeoHookean(ContinuedInJ, IsotropicElastic):
     kappa : float, optional
         Exponent of epsilon/J^kappa, which replaces -epsilon ln J; the paper has kappa >= 1.
     J_min : float, optional
-        J below which the singular term is continued linearly (paper: rem-neo-Hookean-ref), but not G_e
-        J^{-2/3} |F|^2.
+        J below which the singular term is continued linearly (paper: rem-neo-Hookean-ref); G_e J^{-2/3} |F|^2
+        is not continued.
     """
 
     epsilon: Annotated[Modulus, Quantity("Pa", "> 0", 0.1)]

@@ -63,7 +63,7 @@ def prony_network(
     Parameters
     ----------
     material : Material
-        Material whose modulus is the one that ``of`` names: ``LinearElastic``, ``HardeningElastic``,
+        Material whose modulus is G_0 or G_inf, as ``of`` says: ``LinearElastic``, ``HardeningElastic``,
         ``OldroydB``, ``FENEP``, ``ReferentialNeoHookean``, ``IsochoricNeoHookean`` or
         ``ReferentialMooneyRivlin``.
     prony : array

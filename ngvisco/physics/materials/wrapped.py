@@ -100,7 +100,7 @@ class WithQuadratic(Wrapper):
     only : tuple of str, optional
         Names of the variables in the added term, no parameters; default all strains (paper:
         rem-neo-Hookean-ref omits variables in which phi is strongly convex already).  If ``elastic_state``
-        is not given, names that belong to F alone or to B alone determine it.
+        is not given, names that belong to F alone or to B alone determine the elastic state.
     """
 
     delta: Annotated[float, Quantity("Pa^2", "> 0", 1e-6)]
