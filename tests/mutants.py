@@ -617,6 +617,36 @@ MUTANTS = [
             "0.9 * cube * inverse for name",
             SHARP + "test_the_parts_of_a_cell_behind_planes_add_up",
         ),
+        (
+            "layers in series",
+            "return {name: 1 - 1 / G * H for name, G in self.stiffnesses}",
+            "return {name: 0 * H for name, G in self.stiffnesses}",
+            "tests/run/test_bodies.py::test_elastic_layers_with_a_face_inside_a_cell_are_in_series",
+        ),
+        (
+            "one modulus where layered solids meet",
+            "scale = 1 / sqrt(",
+            "scale = 1.01 / sqrt(",
+            "tests/run/test_bodies.py::test_layered_solids_of_one_modulus_have_this_modulus_wherever_they_meet",
+        ),
+    ),
+    *_of(
+        "physics/rate_tensors.py",
+        (
+            "force of layered bodies that is the adjoint of their rate",
+            "return stress - openings.stress(self.stress(z, openings.shares * zeta, first, stop))",
+            "return stress - 0.9 * openings.stress(self.stress(z, openings.shares * zeta, first, stop))",
+            "tests/run/test_bodies.py::test_elastic_layers_with_a_face_inside_a_cell_are_in_series",
+        ),
+    ),
+    *_of(
+        "forms/projections.py",
+        (
+            "direction of a curved interface, which turns in a cell",
+            "self.target = self._recovered if of_slope else",
+            "self.target = 0 * self._recovered if of_slope else",
+            "tests/run/test_parting.py::test_slopes_from_vertices_turn_in_cells",
+        ),
     ),
     *_of(
         "forms/sharpening.py",

@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 from ngsolve import (
+    CF,
     H1,
     BaseMatrix,
     BilinearForm,
@@ -19,6 +20,7 @@ from ngsolve import (
     LinearForm,
     Mesh,
     Periodic,
+    VectorH1,
     VectorL2,
     dx,
     grad,
@@ -34,7 +36,7 @@ from ngvisco.forms.upwinding import mean_share
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.parallel.petsc import inverse_of, release
-from ngvisco.physics.bodies import Interface
+from ngvisco.physics.bodies import Interface, Layers
 from ngvisco.physics.mixed_viscosity import MixedViscosity
 from ngvisco.physics.model import Model
 from ngvisco.physics.tensors import inner, log
@@ -110,19 +112,25 @@ class RecoveredSlope:
 
 
 class VertexSlope:
-    """Slope of a function s that is constant in cells: the slope of the continuous function, linear in
-    simplices, whose values at vertices are means of s over the cells there."""
+    """Slope of a function by means at vertices, each over the cells at the vertex.
 
-    def __init__(self, mesh: Mesh, value: CoefficientFunction, periodic: bool) -> None:
-        space, in_the_middle = H1(mesh, order=1), dx(intrules=rules(mesh.dim, 1))
+    For a function that is constant in cells, it is the slope of the continuous function, linear in simplices,
+    with the function's means.  For a function with the given ``slope`` it is the continuous function with the
+    means of the slope, so that the direction of a curved interface changes in a cell.
+    """
+
+    def __init__(self, mesh: Mesh, value: CoefficientFunction, periodic: bool, of_slope: bool) -> None:
+        """``value`` is the function, or its slope in cells if ``of_slope``."""
+        space, in_the_middle = (VectorH1 if of_slope else H1)(mesh, order=1), dx(intrules=rules(mesh.dim, 1))
         space = Periodic(space) if periodic else space
         test = space.TestFunction()
         self._exchange = Exchange.of(space, Communicator.of(mesh))
         self._recovered = GridFunction(space)
-        self._load = LinearForm(value * test * in_the_middle)
-        volumes = self._summed(LinearForm(test * in_the_middle))
+        self._load = LinearForm(inner(value, test) * in_the_middle)
+        one = CF((1.0,) * mesh.dim) if of_slope else CF(1.0)
+        volumes = self._summed(LinearForm(inner(one, test) * in_the_middle))
         self._volumes = np.where(volumes > 0, volumes, 1.0)
-        self.target = grad(self._recovered)
+        self.target = self._recovered if of_slope else grad(self._recovered)
 
     def __call__(self) -> None:
         self._recovered.vec.FV().NumPy()[:] = self._summed(self._load) / self._volumes
@@ -134,13 +142,16 @@ class VertexSlope:
 def slopes_of_interfaces(
     model: Model, layout: StepLayout, context: Context, quadrature: Quadrature
 ) -> dict[Interface, RecoveredSlope | VertexSlope]:
-    """Slopes at a step's start along the normals of interfaces, for fractions that are constant in cells."""
+    """Slopes at a step's start along the normals of interfaces, for fractions that are constant in cells, and
+    for layered bodies, whose tension along an interface must not count as shear."""
     slopes: dict[Interface, RecoveredSlope | VertexSlope] = {}
-    if layout.discretisation.m > 0:
+    law, has_slopes = model.material.at_interfaces, layout.discretisation.m > 0
+    if law is not None and (not has_slopes or isinstance(law, Layers)):
+        of_cells = context.rates.slope_of_mean(law.interface, context.old)
+        value = of_cells if has_slopes else log(law.interface.mean(context.old.z_tensors))
+        slopes[law.interface] = VertexSlope(layout.mesh, value, layout.periodic, has_slopes)
+    if has_slopes:
         return slopes
-    if (parting := model.material.interface) is not None:
-        value = log(parting.mean(context.old.z_tensors))
-        slopes[parting] = VertexSlope(layout.mesh, value, layout.periodic)
     series = model.viscosity.interface if isinstance(model.viscosity, MixedViscosity) else None
     if series is not None and series not in slopes:
         share, value = mean_share(context.inner), series.mean(context.old.z_tensors)

@@ -4,7 +4,7 @@
 constant tensors.  A term reads ``u.context.rates`` and works with either class.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, reduce
 from operator import add
@@ -23,7 +23,7 @@ from ngvisco.physics.materials.thermal import temperature
 from ngvisco.physics.mixed_viscosity import MixedViscosity
 from ngvisco.physics.model import CreepMechanism, Model
 from ngvisco.physics.pointwise import ArrayResponse, respond
-from ngvisco.physics.rate_tensors import RateTensors
+from ngvisco.physics.rate_tensors import Openings, RateTensors
 from ngvisco.physics.response import Respond
 from ngvisco.physics.rheology import Viscosity
 from ngvisco.physics.tensors import (
@@ -32,13 +32,21 @@ from ngvisco.physics.tensors import (
     identity_like,
     inner,
     linear_map,
-    opening,
     square,
     sym,
     symmetric_tensors,
     trace_free_tensors,
 )
-from ngvisco.physics.variables import CONFORMATION, HARDENING, INTERFACE, PRESSURE, STEP, TEMPERATURE, Values
+from ngvisco.physics.variables import (
+    CONFORMATION,
+    HARDENING,
+    INTERFACE,
+    PARTED,
+    PRESSURE,
+    STEP,
+    TEMPERATURE,
+    Values,
+)
 
 Conjugate: TypeAlias = Literal["z", "zeta"]
 """Factor of a rate: tests of z, or conjugates zeta."""
@@ -168,9 +176,11 @@ class Rates:
         return tensors
 
     def parted(self, u: UnknownValues) -> Values:
-        """z, and for a material that parts at interfaces the projection on the interfaces' normals."""
-        interface = self.material.interface
-        return u.z_tensors if interface is None else {**u.z_tensors, INTERFACE: self._normals(interface, u)}
+        """z, and for a material with a law of interfaces its normals and shares at the step's start."""
+        if (law := self.material.at_interfaces) is None:
+            return u.z_tensors
+        shares = self.material.parted(u.context.old.z_tensors)
+        return {**u.z_tensors, INTERFACE: self._normals(law.interface, u), PARTED: shares}
 
     def _normals(self, interface: Interface, u: UnknownValues) -> CoefficientFunction:
         """Projection n x n, 3x3, on the slope n of the interface's quantity at the step's start.
@@ -181,12 +191,12 @@ class Rates:
         if interface in u.context.recovered_slopes:
             slope = u.context.given(u.context.recovered_slopes[interface])
         else:
-            slope = self._slope_of_mean(interface, u.context.old)
+            slope = self.slope_of_mean(interface, u.context.old)
         column = linear_map(np.kron(np.eye(3, u.dim), np.eye(3)[:, :1]), slope, (3, 3))
         least = NO_INTERFACE / u.context.h
         return (1 / (square(column) + least * least)) * (column * column.trans)
 
-    def _slope_of_mean(self, interface: Interface, old: UnknownValues) -> CoefficientFunction:
+    def slope_of_mean(self, interface: Interface, old: UnknownValues) -> CoefficientFunction:
         """Slope of the mean of an interface's quantity in cells, times the amount of matter, 1/m."""
         states, mean, parts = old.layout.states, interface.mean(old.z_tensors), []
         for name, value in interface.values:
@@ -290,99 +300,82 @@ class TabulatedRates(Rates):
         """Energies and their first two derivatives for arrays of states."""
         return respond(self.material, self.dim)
 
-    def weights(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Weights of the components' rates, and weights of the openings' rates that are subtracted where
-        matter parts, both (n, points)."""
-        weights, parted = np.ones(z.shape, z.dtype), np.zeros(z.shape, z.dtype)
-        for name, (share, of_opening) in self._shares(Array(z, None)).items():
+    def weights(self, z: np.ndarray) -> np.ndarray:
+        """Weights of the components' rates, (n, points)."""
+        weights = np.ones(z.shape, z.dtype)
+        for name, share in self._shares(Array(z, None)).items():
             weights[self._shared[name]] = share.value
-            if of_opening is not None:
-                parted[self._shared[name]] = of_opening.value
-        return weights, parted
+        return weights
 
-    def _shares(self, z: Array) -> dict[str, tuple[Array, Array | None]]:
-        """Weights of rates, and of the openings' rates subtracted where matter parts, by names."""
-        values = self._states.tensors(lambda: z)
-        shares, of_openings = self.material.taking_part(values), self.material.parted(values)
-        return {
-            n: (shares[n], shares[n] * of_openings[n] if n in of_openings else None) for n in self._shared
-        }
+    def _shares(self, z: Array) -> Mapping[str, Array]:
+        """Weights of rates by names."""
+        return self.material.taking_part(self._states.tensors(lambda: z))
 
-    def openings(self, u: UnknownValues) -> np.ndarray | None:
-        """Matrix of ``opening``, (dim^2, entries of L, points), for a material that parts, else None.
-
-        The matrix maps the entries of L to entries of a velocity gradient.
-        """
-        interface = self.material.interface
-        if interface is None:
+    def openings(self, u: UnknownValues) -> Openings | None:
+        """The motion at interfaces that bodies do not share, for a material with a law of interfaces."""
+        if (law := self.material.at_interfaces) is None:
             return None
-        P, units = self._normals(interface, u), np.eye(9).reshape(9, 3, 3, 1)
-        columns = [opening(sym(Array(unit, None)), P).value for unit in units]
+        P, units = self._normals(law.interface, u), np.eye(9).reshape(9, 3, 3, 1)
+        columns = [law.motion(sym(Array(unit, None)), P).value for unit in units]
         entries = [(i, j) for i in range(self.dim) for j in range(self.dim)]
         rows, of_L = [3 * i + j for i, j in entries], [*(3 * i + j for i, j in entries), *[8] * self.hoop]
-        return np.stack(columns, axis=2).reshape(9, 9, -1)[np.ix_(rows, of_L)]
+        matrix = np.stack(columns, axis=2).reshape(9, 9, -1)[np.ix_(rows, of_L)]
+        shares = np.zeros((self._states.size, matrix.shape[-1]))
+        for name, share in self.material.parted(u.context.old.z_tensors).items():
+            shares[self._states.slices[name]] = share.value
+        return Openings(matrix, shares)
 
-    def columns(self, z: np.ndarray, openings: np.ndarray | None = None) -> np.ndarray:
+    def columns(self, z: np.ndarray, openings: Openings | None = None) -> np.ndarray:
         """Derivative d rate/dX, (points, n, X), including the part in the densities' flux."""
         columns = self.tensors.columns(z)
         if self.weighed is not None:
-            (weights, parted), shared = self.weights(z), self.weighed.columns(z)
-            columns += weights.T[:, :, None] * shared
+            shared = self.weighed.columns(z)
             if openings is not None:
-                columns -= parted.T[:, :, None] * self.tensors.opened(shared.T, openings).T
+                shared = shared - openings.shares.T[:, :, None] * openings.stress(shared.T).T
+            columns += self.weights(z).T[:, :, None] * shared
         return columns
 
     def slopes(
-        self, z: np.ndarray, X: np.ndarray, zeta: np.ndarray, openings: np.ndarray | None = None
+        self, z: np.ndarray, X: np.ndarray, zeta: np.ndarray, openings: Openings | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives d rate/dz, (points, n, n), and d^2(zeta : rate)/dX dz, (points, X, n)."""
         of_rate, of_stress = self.tensors.rate_slope(X), self.tensors.stress_slope(zeta)
         if self.weighed is not None:
-            weights, parted = self.weights(z)
-            of_rate += weights.T[:, :, None] * self.weighed.rate_slope(X)
-            of_stress += self.weighed.stress_slope(weights * zeta)
+            weights = self.weights(z)
+            rates, slope = self.weighed.rate_beside(openings, z, X, 0), self.weighed.rate_slope(X)
             if openings is not None:
-                opened = self.tensors.opening(X, openings)
-                of_rate -= parted.T[:, :, None] * self.weighed.rate_slope(opened)
-                slopes = self.weighed.stress_slope(parted * zeta)
-                of_stress -= self.tensors.opened(slopes.transpose(1, 2, 0), openings).transpose(2, 0, 1)
-            for name, (share, of_opening) in self._shares(values := Array(z)).items():
+                opened = self.weighed.rate_slope(openings.motion(X))
+                slope -= openings.shares.T[:, :, None] * opened
+                slopes = self.weighed.stress_slope(openings.shares * weights * zeta).transpose(1, 2, 0)
+                of_stress -= openings.stress(slopes).transpose(2, 0, 1)
+            of_rate += weights.T[:, :, None] * slope
+            of_stress += self.weighed.stress_slope(weights * zeta)
+            for name, share in self._shares(values := Array(z)).items():
                 where, of_name = self._shared[name], np.zeros_like(zeta)
                 of_name[where] = zeta[where]
-                stress = self.weighed.stress(z, of_name, 0, len(X))
-                parts = [(share, self.weighed.rate(z, X)[where], stress)]
-                if openings is not None and of_opening is not None:
-                    rate = self.weighed.rate(z, opened)[where]
-                    parts.append((of_opening, -rate, -self.tensors.opened(stress, openings)))
-                for weight, rates, stresses in parts:
-                    (by_z,) = derivatives(weight, [values])
-                    X_read, read = np.flatnonzero(stresses.any(axis=1)), np.flatnonzero(by_z.any(axis=1))
-                    for m in read:  # as a view: copies of columns would take most of the time
-                        of_rate[:, where, m] += (rates * by_z[m]).T
-                        of_stress[:, X_read, m] += (stresses[X_read] * by_z[m]).T
+                stress = self.weighed.stress_beside(openings, z, of_name, 0, len(X))
+                (by_z,) = derivatives(share, [values])
+                X_read, read = np.flatnonzero(stress.any(axis=1)), np.flatnonzero(by_z.any(axis=1))
+                for m in read:  # as a view: copies of columns would take most of the time
+                    of_rate[:, where, m] += (rates[where] * by_z[m]).T
+                    of_stress[:, X_read, m] += (stress[X_read] * by_z[m]).T
         return of_rate, of_stress
 
     def rate(self, z: UnknownValues, X: np.ndarray, first: int = 0) -> np.ndarray:
         """Rates rate(z; X), (n, points), for the X from ``first`` on; for densities the production."""
-        rates = self.production.rate(z.z.value, X, first)
+        rates, values = self.production.rate(z.z.value, X, first), z.z.value
         if self.weighed is not None:
-            weights, parted = self.weights(z.z.value)
-            rates = rates + weights * self.weighed.rate(z.z.value, X, first)
-            if not first and (openings := self.openings(z)) is not None:
-                rates -= parted * self.weighed.rate(z.z.value, self.tensors.opening(X, openings))
+            openings = None if first else self.openings(z)
+            rates = rates + self.weights(values) * self.weighed.rate_beside(openings, values, X, first)
         return rates
 
     def stress(self, z: UnknownValues, zeta: np.ndarray, first: int, stop: int) -> np.ndarray:
         """Derivatives d(zeta : rate)/dX for X = first ... stop - 1, (X, points); with ``first`` = 0 for all
         entries of L."""
-        slopes = self.production.stress(z.z.value, zeta, first, stop)
+        slopes, values = self.production.stress(z.z.value, zeta, first, stop), z.z.value
         if self.weighed is not None:
-            weights, parted = self.weights(z.z.value)
-            slopes = slopes + self.weighed.stress(z.z.value, weights * zeta, first, stop)
-            if not first and (openings := self.openings(z)) is not None:
-                slopes -= self.tensors.opened(
-                    self.weighed.stress(z.z.value, parted * zeta, 0, stop), openings
-                )
+            openings, weighed = None if first else self.openings(z), self.weights(values) * zeta
+            slopes = slopes + self.weighed.stress_beside(openings, values, weighed, first, stop)
         return slopes
 
     def power(

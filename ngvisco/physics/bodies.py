@@ -7,6 +7,7 @@ tensor of its energy, and K_i = n_i k if it hardens.  The volume fractions are t
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import reduce
 from operator import add
@@ -20,7 +21,7 @@ from ngvisco.physics.heat import Heat
 from ngvisco.physics.material import Material, part_of
 from ngvisco.physics.materials.network import Network
 from ngvisco.physics.rheology import Viscosity
-from ngvisco.physics.tensors import IDENTITY, Tensor, if_positive, sqrt
+from ngvisco.physics.tensors import IDENTITY, Tensor, if_positive, opening, shear_across, sqrt
 from ngvisco.physics.variables import CreepFrame, PerVolume, Values, Variable
 
 NO_INTERFACE = 1e-6
@@ -34,6 +35,9 @@ BACKING_TRACE = 0.1
 """The share of all matter, N, that is added to the amount n_i of a body that hardens or breaks. The sum is
 the divisor of K_i, an independent polynomial that need not vanish with n_i. The sum is also the weight of the
 energy of cracks, which must be positive because this energy is convex in the damage."""
+
+_NOTHING = 1e-12
+"""Weight of a layered body in a point without layered bodies, where the mean modulus has no meaning."""
 
 _HALF = 1 / 5
 """The volume fraction theta_i at which chi_i is 1/2."""
@@ -200,6 +204,9 @@ class Parting:
     bodies: frozenset[str]
     """Names of the bodies that part."""
 
+    motion = staticmethod(opening)
+    """The part of D that is not common to the bodies."""
+
     @property
     def fractions(self) -> Fractions:
         return Fractions(tuple(name for name, _ in self.stiffnesses))
@@ -216,6 +223,48 @@ class Parting:
         compliances = (1 / K * theta[name] for name, K in self.stiffnesses)
         mean = reduce(add, theta.values()) / reduce(add, compliances)
         return {name: 1 - 1 / K * mean for name, K in self.stiffnesses if name in self.bodies}
+
+
+@dataclass(frozen=True)
+class Layers:
+    """The law of layered bodies side by side in a cell: they bear one shear traction across their interface.
+
+    In a cell with the interface's normal n, body i has the strain rate D_i = D - o_i S, S the shear of D
+    across n, with 1 - o_i = H/G_i.  G_i is the shear modulus at rest, and 1/H the mean of 1/G_i with the
+    weights chi_i theta_i.  For small strains the stress of the cell is 2 H S across n.  Bodies that are
+    missing in ``stiffnesses`` have the strain rate D.
+    """
+
+    stiffnesses: tuple[tuple[str, float], ...]
+    """Pairs of a layered body's name and its shear modulus G_i, Pa."""
+    fractions: Fractions
+    factors: Callable[[Values], dict[str, Any]]
+    """The bodies' factors chi_i by names, before ``scaled``."""
+
+    motion = staticmethod(shear_across)
+    """The part of D that is not common to the bodies."""
+
+    @property
+    def interface(self) -> Interface:
+        """The interface whose quantity is the relative compliance; other bodies count as the softest one."""
+        G = dict(self.stiffnesses)
+        least = min(G.values())
+        return Interface(tuple((n, least / G.get(n, least)) for n in self.fractions.bodies), self.fractions)
+
+    def shares(self, z: Values) -> dict[str, Any]:
+        """The shares o_i of the shear across an interface that do not strain the bodies, by their names."""
+        theta, chi = self.fractions.not_negative(z), self.factors(z)
+        weights = {name: chi[name] * theta[name] + _NOTHING for name, _ in self.stiffnesses}
+        compliance = reduce(add, (1 / G * weights[name] for name, G in self.stiffnesses))
+        H = reduce(add, weights.values()) / compliance
+        return {name: 1 - 1 / G * H for name, G in self.stiffnesses}
+
+    def scaled(self, z: Values) -> dict[str, Any]:
+        """The factors chi_i over sqrt(sum theta_j chi_j^2): solids of one shear modulus have this modulus at
+        each point."""
+        theta, chi = self.fractions.not_negative(z), self.factors(z)
+        scale = 1 / sqrt(reduce(add, (theta[name] * factor * factor for name, factor in chi.items())))
+        return {name: scale * factor for name, factor in chi.items()}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -269,6 +318,10 @@ class Body:
         normal by the body's own compliance alone, and shear across the interface does not strain the body
         (FORMULATION.md, Section 9).  Shared cells then resist compression by the bulk modulus alone, so that
         two discs of four cells across do not rebound.  The option is for bodies that are many cells across.
+    layered : bool
+        Whether the body bears one shear traction with other layered elastic bodies in the cells that they
+        share, like layers on each other, and not one strain rate (FORMULATION.md, Section 9).  With layered
+        bodies ``nv.gradient`` is refused.
     order : int
         The body of higher order fills the overlap of two bodies at the start.  Bodies of one order must not
         overlap.  The body without a place is below all others and has no order.
@@ -282,6 +335,7 @@ class Body:
     heat: Heat | None = None
     density: Annotated[float | None, Quantity("kg/m^3", "> 0", 1000.0)] = None
     parts: bool = False
+    layered: bool = False
     order: int = 0
 
     @property

@@ -36,14 +36,13 @@ from ngvisco.physics.tensors import (
     constant,
     inner,
     linear_map,
-    opening,
     skw,
     sym,
     tensor_space,
     tr,
     trace_free_tensors,
 )
-from ngvisco.physics.variables import INTERFACE, Values, Variable
+from ngvisco.physics.variables import INTERFACE, PARTED, Values, Variable
 
 
 class StateSpace:
@@ -252,24 +251,25 @@ class Material(Checked, ABC):
         return {}
 
     @property
-    def interface(self) -> Any:
-        """The ``Interface`` at which matter parts; None (default) for none."""
+    def at_interfaces(self) -> Any:
+        """The law by which the strain rates on both sides of an interface differ (``Parting``, ``Layers``);
+        None (default) for none."""
         return None
 
     def parted(self, z: Values) -> Values:
-        """Shares of an interface's opening that other matter takes, by variables; 0 for all others."""
+        """Shares of the motion at an interface that other matter takes, by variables; 0 for all others."""
         return {}
 
     def rate(self, variable: Variable, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
         """rate(z; L, Pi) of a variable; for a density without the part -(tr L) z, which its flux contains.
 
-        With ``INTERFACE``, n x n, in ``z``, matter parts at this interface (``parted``).
+        With ``PARTED`` and ``INTERFACE``, n x n, in ``z``, strain rates differ at this interface.
         """
         share = self.taking_part(z).get(variable.name)
         if share is not None:
             D, Pi = sym(L), share * Pi
-            if INTERFACE in z and (parted := self.parted(z).get(variable.name)) is not None:
-                D = D - parted * opening(D, z[INTERFACE])
+            if PARTED in z and (parted := z[PARTED].get(variable.name)) is not None:
+                D = D - parted * self.at_interfaces.motion(D, z[INTERFACE])
             L = skw(L) + share * D
         rate = variable.rate(z, L, Pi)
         return rate + tr(L) * z[variable.name] if variable.by_flux else rate

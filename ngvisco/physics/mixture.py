@@ -22,12 +22,12 @@ densities have (``Material.lagged``), and d_i grows with held volumes. For given
 
 Body i has the spin W, the strain rate chi_i D and the creep rate chi_i Pi_i.  The body's fraction determines
 chi_i (``taking_part``): where the fraction is <= 0, chi_i is 0, and tensors of the body turn, but neither
-stretch nor bear stress.
+stretch nor bear stress.  At an interface, D may have a part that the bodies do not share (``at_interfaces``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial, reduce
 from operator import add
@@ -44,7 +44,7 @@ from ngvisco.physics.bodies import (
     Body,
     Content,
     Fractions,
-    Interface,
+    Layers,
     Parting,
 )
 from ngvisco.physics.body_damage import BodyDamage
@@ -57,7 +57,6 @@ from ngvisco.physics.materials.damaged import DAMAGE, Damaged
 from ngvisco.physics.materials.perspective import ReferenceEnergy
 from ngvisco.physics.materials.thermal import Entropy, Thermal
 from ngvisco.physics.parameters import Parameter, distinct, parameters_in, renamed, told_apart
-from ngvisco.physics.pointwise import respond, rest_state
 from ngvisco.physics.response import Respond
 from ngvisco.physics.tensors import IDENTITY, Tensor, identity_like
 from ngvisco.physics.variables import PRESSURE, Jacobian, Values, Variable
@@ -122,6 +121,13 @@ class Mixture(Material):
             if body.parts and not (psi.tensors and 0 < softest < (1 - _SAME) * self.stiffnesses[body.name]):
                 expected = " for a fluid, and for a body if no other body is more compressible"
                 raise ParameterError(f"bodies[{body.name!r}].parts", True, False, expected)
+            elastic = psi.tensors and not body.rules and body.name not in self.damages
+            is_alone = sum(other.layered for other in self.bodies) < 2
+            if body.layered and (not elastic or self.parting or is_alone):
+                expected = (
+                    " for fluids, bodies that creep or break, a single body, and beside bodies that part"
+                )
+                raise ParameterError(f"bodies[{body.name!r}].layered", True, False, expected)
             if psi.reads_parameters_in_volume and not self.has_one_volume:
                 expected = "a material whose bulk modulus is a number, or bodies with one volumetric energy"
                 raise ParameterError(f"bodies[{body.name!r}].material", body.material, expected)
@@ -283,20 +289,22 @@ class Mixture(Material):
     def taking_part(self, z: Values) -> Values:
         if len(self.bodies) == 1:
             return {}
-        of = self.fractions
-        shares = of.behind_planes(z) if self.are_apart else of.taking_part(z)
+        shares = self._factors(z) if self.are_apart or self.layers is None else self.layers.scaled(z)
         factors = {X.name: share for name, share in shares.items() for X in self.contents(name)}
         return factors | {broken.slope.name: shares[name] for name, broken in self.damages.items()}
+
+    @property
+    def _factors(self) -> Callable[[Values], dict[str, Any]]:
+        """The function of a state that gives the factors chi_i by the bodies' names."""
+        return self.fractions.behind_planes if self.are_apart else self.fractions.taking_part
 
     def films(self, name: str) -> Films | None:
         """The creep rate of a body in cells that it shares with films of fluid; None if fractions are those
         of a mixture, and for bodies that part."""
         if not self.are_apart or self.parting is not None:
             return None
-        fluids, psi = [b for b in self.bodies if not self.energies[b.name].tensors], self.energies[name]
-        slope, slices = respond(psi, 3)(rest_state(psi, 3)[None]).slope[0], psi.states(3).slices
-        stiffness = 2 * sum(float(abs(slope[slices[X.name]]).max()) for X in psi.tensors)
-        return Films.of(fluids, self.fractions, stiffness)
+        fluids = [b for b in self.bodies if not self.energies[b.name].tensors]
+        return Films.of(fluids, self.fractions, self.energies[name].shear_stiffness)
 
     @cached_property
     def parting(self) -> Parting | None:
@@ -304,12 +312,18 @@ class Mixture(Material):
         names = frozenset(body.name for body in self.bodies if body.parts)
         return Parting(tuple(self.stiffnesses.items()), names) if names else None
 
+    @cached_property
+    def layers(self) -> Layers | None:
+        """The law of the layered bodies; None without such bodies."""
+        moduli = tuple((b.name, self.energies[b.name].shear_stiffness) for b in self.bodies if b.layered)
+        return Layers(moduli, self.fractions, self._factors) if moduli else None
+
     @property
-    def interface(self) -> Interface | None:
-        return None if self.parting is None else self.parting.interface
+    def at_interfaces(self) -> Parting | Layers | None:
+        return self.parting or self.layers
 
     def parted(self, z: Values) -> Values:
-        shares = {} if self.parting is None else self.parting.shares(z)
+        shares = {} if self.at_interfaces is None else self.at_interfaces.shares(z)
         return {X.name: share for name, share in shares.items() for X in self.contents(name)}
 
     def filled(self, shares: Mapping[str, Any], F: Tensor | Mapping[str, Tensor]) -> dict[str, Any]:

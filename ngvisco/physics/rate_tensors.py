@@ -37,6 +37,28 @@ _ROUNDING = 1e-10
 
 
 @dataclass(frozen=True)
+class Openings:
+    """The motion at interfaces, linear in L, of which variables take a part only (``Material.parted``)."""
+
+    matrix: np.ndarray
+    """From the entries of L to the velocity gradient of this motion, (dim^2, entries of L, points)."""
+    shares: np.ndarray
+    """Share of this motion that does not strain each component, (n, points)."""
+
+    def motion(self, X: np.ndarray) -> np.ndarray:
+        """This motion alone, (X, points), from a motion X."""
+        motion = np.zeros_like(X)
+        motion[: len(self.matrix)] = np.einsum("xyp,yp->xp", self.matrix, X[: self.matrix.shape[1]])
+        return motion
+
+    def stress(self, stress: np.ndarray) -> np.ndarray:
+        """Derivatives by X, (X, ..., points), of a function whose slope by this motion is ``stress``."""
+        by_X = np.zeros_like(stress)
+        by_X[: self.matrix.shape[1]] = np.einsum("x...p,xyp->y...p", stress[: len(self.matrix)], self.matrix)
+        return by_X
+
+
+@dataclass(frozen=True)
 class RateTensors:
     """The tensors C (X, n) and T (X, n, n) of the module's docstring, and lists of their non-zero entries."""
 
@@ -143,6 +165,20 @@ class RateTensors:
         """d(zeta : rate)/dX for X = first ... stop - 1, (X, points)."""
         return called(self._stress, z, zeta, first, stop)
 
+    def rate_beside(self, openings: Openings | None, z: np.ndarray, X: np.ndarray, first: int) -> np.ndarray:
+        """``rate`` without the shares of the openings, for all X."""
+        rate = self.rate(z, X, first)
+        return rate if openings is None else rate - openings.shares * self.rate(z, openings.motion(X))
+
+    def stress_beside(
+        self, openings: Openings | None, z: np.ndarray, zeta: np.ndarray, first: int, stop: int
+    ) -> np.ndarray:
+        """``stress`` without the shares of the openings, for all X."""
+        stress = self.stress(z, zeta, first, stop)
+        if openings is None:
+            return stress
+        return stress - openings.stress(self.stress(z, openings.shares * zeta, first, stop))
+
     def _stress(self, z: np.ndarray, zeta: np.ndarray, first: int, stop: int) -> np.ndarray:
         out = np.zeros((stop - first, z.shape[1]), np.result_type(z, zeta))
         self._sum(z, first, stop, lambda x, n: (out[x], zeta[n]))
@@ -175,19 +211,6 @@ class RateTensors:
     def stress_slope(self, zeta: np.ndarray) -> np.ndarray:
         """d^2(zeta : rate)/dX dz, (points, X, n), for zeta (n, points)."""
         return self._scattered(1, zeta, self.linear.shape[:2])
-
-    def opening(self, X: np.ndarray, openings: np.ndarray) -> np.ndarray:
-        """The motion of the openings alone, (X, points), from a motion X; ``openings`` is the openings'
-        matrix, (dim^2, entries of L, points)."""
-        opening = np.zeros_like(X)
-        opening[: len(openings)] = np.einsum("xyp,yp->xp", openings, X[: self.gradients])
-        return opening
-
-    def opened(self, stress: np.ndarray, openings: np.ndarray) -> np.ndarray:
-        """Derivatives by X, (X, ..., points), of a function whose derivatives by openings are ``stress``."""
-        opened = np.zeros_like(stress)
-        opened[: self.gradients] = np.einsum("x...p,xyp->y...p", stress[: len(openings)], openings)
-        return opened
 
     def _scattered(self, number: int, values: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
         """The product of one of ``_slopes`` with values, (., points), as matrices, (points, *shape)."""

@@ -48,6 +48,8 @@ stress by hardening, Pa, and the conformation tensor of the flow."""
 INTERFACE = "interface"
 """Name, in ``Values`` for the viscosity of several bodies, of n x n, 3x3, with the normal n of their
 interface at a step's start; zero away from interfaces."""
+PARTED = "parted"
+"""Name, in ``Values`` for rates, of the shares ``Material.parted`` at a step's start."""
 STEP = "step"
 """Name, in ``Values`` for laws of several bodies, of one over the step's length, 1/s."""
 

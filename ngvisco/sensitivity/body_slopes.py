@@ -24,6 +24,7 @@ from ngsolve import (
 from scipy.sparse.linalg import splu
 
 from ngvisco.forms.mesh.mesh_arrays import rules
+from ngvisco.forms.mesh.quadrature import compiled
 from ngvisco.forms.term import Integrand
 from ngvisco.physics.mixture import Mixture
 from ngvisco.run.body_tables import Bodies
@@ -87,10 +88,11 @@ class BodySlopes:
         """Slope of an integral over a body's volume; ``density`` is the integrand at the present state."""
         of_volume = self.variations.of(Integrand(self._theta[name]))
         volume = self.table.densities(name, self.step.now)["volume"]
+        integrands = [compiled(f) for f in (density, volume)]
 
         def slope() -> np.ndarray:
             self.table.fractions.place()
-            total, size = (self.step.quadrature.integrate_cells(f) for f in (density, volume))
+            total, size = (self.step.quadrature.integrate_cells(f) for f in integrands)
             return (of_integral() - total / size * of_volume()) / size
 
         return slope
@@ -192,8 +194,8 @@ class BodySlopes:
         space = chi.space
         of_chi = tractions.densities(name, self.variations.fields, Grad(space.TestFunction()))[column]
         load = LinearForm(space)
-        load += quadrature.cells(of_chi)
-        now = tractions.densities(name, self.variations.fields, Grad(chi))[column]
+        load += quadrature.cells(compiled(of_chi))
+        now = compiled(tractions.densities(name, self.variations.fields, Grad(chi))[column])
 
         def slope() -> np.ndarray:
             tractions.average()

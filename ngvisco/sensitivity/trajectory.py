@@ -128,7 +128,7 @@ class Trajectory:
             (run.ranks.is_distributed, "derivatives need one process, and this run has several ranks"),
             (
                 bool(run.rothe_step.context.recovered_slopes),
-                "with constants in cells the direction of interfaces between viscosities has no derivative",
+                "the direction of interfaces has no derivative with constants in cells or layered bodies",
             ),
             (
                 self._lacks_derivatives(),

@@ -12,6 +12,7 @@ from support import assert_same, by_both_solvers, by_ci, others_by_ci, small_run
 import ngvisco as nv
 from ngvisco.forms.term import PointTerm
 from ngvisco.geometries import box, structured_box
+from ngvisco.physics.arrays import Array
 from ngvisco.physics.bodies import AMOUNT
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.variables import Jacobian
@@ -321,6 +322,78 @@ def test_bulk_moduli_that_differ_much_are_warned_of_by_name(K_e, m, warns):
     found = [str(one.message) for one in said if "common pressure" in str(one.message)]
     assert len(found) == warns
     assert all("'disc' and 'rest' have bulk moduli of 10 and 0.4 Pa" in text for text in found), found
+
+
+@pytest.mark.parametrize(
+    ("options", "error"),
+    [
+        by_ci({"solver": "split"}, 0.01),
+        ({"solver": "coupled", "stiffer": "low"}, 0.01),
+        ({"solver": "split", "k": 1}, 0.05),
+        ({"solver": "split", "sharp": True}, 0.03),
+    ],
+)
+def test_elastic_layers_with_a_face_inside_a_cell_are_in_series(options, error):
+    """Layers with shear moduli of 1 : 10 are sheared; their face is in the middle of the third of five cells.
+
+    With one strain rate in this cell, the force is 9 per cent too large, with k = 1 15 and with sharp
+    interfaces 6 per cent.
+    """
+    k, shear, face = options.get("k", 2), 5e-3, 0.5
+    moduli = {"low": 1.0, "high": 1.0} | {options.get("stiffer", "high"): 10.0}
+
+    def layer(name, where=None):
+        material = nv.ReferentialNeoHookean(K_e=50.0, G_e=moduli[name] / 2)
+        thin = nv.StokesViscosity(K_v=1e-4, G_v=1e-4)
+        return nv.Body(name=name, where=where, material=material, viscosity=thin, density=1e-3, layered=True)
+
+    run = nv.Simulation(
+        structured_box((0.2, 1.0), (1, 5), periodic="x"),
+        nv.Model(bodies=[layer("low", face - y), layer("high")]),
+        dt=0.5,
+        walls={"top": nv.PrescribedTangential((shear, 0)), "bottom": nv.NoSlip()},
+        solver=options["solver"],
+        discretisation=nv.Discretisation(k=k, m=k - 1, sharp=options.get("sharp", False)),
+        newton=nv.NewtonOptions(tolerance=1e-11),
+    )
+    ledger = run.run(1.0)
+    exact = shear / (face / moduli["low"] + (1 - face) / moduli["high"])
+    assert ledger.column("power_wall_top")[-1] / (0.2 * shear) == pytest.approx(exact, rel=error)
+    assert abs(ledger.column("closure_relative")).max() <= 1e-12
+    assert ledger.column("bregman")[1:].min() >= -1e-15 * ledger.column("stored")[0]
+
+
+def test_layered_solids_of_one_modulus_have_this_modulus_wherever_they_meet():
+    """sum theta chi^2 is one for any fractions of layered solids, and less than one for others."""
+    for layered in (True, False):
+        bodies = [disc(layered=layered), rest(material=SOLID, layered=layered)]
+        mixture = nv.Model(bodies=bodies).material
+        for share in (-0.2, 0.02, 0.15, 0.3, 0.9):
+            z = {AMOUNT + "disc": Array(np.array([share])), AMOUNT + "rest": Array(np.array([1 - share]))}
+            theta, chi = mixture.fractions.not_negative(z), mixture.taking_part(z)
+            total = sum(theta[name] * chi[f"B_{name}"] * chi[f"B_{name}"] for name in theta)
+            assert layered == (float(total.value[0]) == pytest.approx(1.0, abs=1e-12)) or share < 0
+
+
+def test_derivatives_of_runs_with_layered_bodies_are_refused():
+    bodies = [disc(layered=True), rest(material=SOLID, layered=True)]
+    run = nv.Simulation(box((1, 1), 0.5), nv.Model(bodies=bodies), dt=0.1)
+    with pytest.raises(nv.ParameterError, match="layered bodies"):
+        nv.gradient(run, 0.1, of=["kinetic at 0.1"], by=["bodies.disc.material.G_e"])
+
+
+@pytest.mark.parametrize(
+    "bodies",
+    [
+        [disc(layered=True), rest()],
+        [disc(layered=True), rest(layered=True)],
+        [disc(layered=True, parts=True), rest(material=SOLID, layered=True)],
+        [disc(layered=True, creep=nv.Creep(G_m=0.1)), rest(material=SOLID, layered=True)],
+    ],
+)
+def test_layered_bodies_are_several_elastic_bodies_that_do_not_part(bodies):
+    with pytest.raises(nv.ParameterError, match=r"bodies\['(disc|rest)'\]\.(layered|parts)"):
+        nv.Simulation(box((1, 1), 0.5), nv.Model(bodies=bodies), dt=0.1)
 
 
 @pytest.mark.parametrize(

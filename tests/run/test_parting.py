@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from ngsolve import x, y, z
+from ngsolve import CF, x, y, z
 
 import ngvisco as nv
 from ngvisco.errors import ParameterError
@@ -95,9 +95,19 @@ def test_an_opening_gap_strains_no_body_and_a_stretch_along_the_interface_does()
 
 def test_slopes_from_vertices_are_exact_for_a_linear_function_in_cells_away_from_walls():
     mesh = structured_box((1, 1), (6, 6))
-    slope = VertexSlope(mesh, 2 * x - y, periodic=False)
+    slope = VertexSlope(mesh, 2 * x - y, periodic=False, of_slope=False)
     slope()
     assert slope.target(mesh(0.45, 0.55)) == pytest.approx((2.0, -1.0), abs=1e-12)
+
+
+def test_slopes_from_vertices_turn_in_cells():
+    """The means at vertices of a linear slope are its values there, in a mesh of equal cells."""
+    mesh = structured_box((1, 1), (6, 6))
+    slope = VertexSlope(mesh, CF((x - 2 * y, y)), periodic=False, of_slope=True)
+    slope()
+    for at in ((0.45, 0.55), (0.52, 0.4)):
+        expected = at[0] - 2 * at[1], at[1]
+        assert slope.target(mesh(*at)) == pytest.approx(expected, abs=1e-12)
 
 
 @pytest.mark.parametrize("bulk", [2.0, 20.0])

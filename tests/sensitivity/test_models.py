@@ -145,7 +145,7 @@ def test_integrals_of_stresses_have_derivatives_for_an_energy_without_an_express
 @pytest.mark.parametrize(
     ("discretisation", "method", "said"),
     [
-        (nv.Discretisation(k=1, m=0), "tangent", "direction of interfaces between viscosities"),
+        (nv.Discretisation(k=1, m=0), "tangent", "direction of interfaces has no derivative"),
         (nv.Discretisation(sharp=True), "adjoint", "'tangent' for a run with Discretisation.sharp"),
     ],
 )

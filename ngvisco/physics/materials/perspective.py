@@ -26,7 +26,7 @@ from ngvisco.physics.materials.damaged import DAMAGE, Damaged, WithoutCracks
 from ngvisco.physics.materials.network import Network
 from ngvisco.physics.materials.thermal import Thermal
 from ngvisco.physics.parameters import Modulus, Parameter, distinct, parameters_in, substituted
-from ngvisco.physics.pointwise import respond, rest_state, slope_at
+from ngvisco.physics.pointwise import respond, rest_state, slope_at, states_of
 from ngvisco.physics.tensors import IDENTITY, Tensor, log
 from ngvisco.physics.variables import (
     DistortionTensor,
@@ -143,6 +143,8 @@ class PerMass(PerReferentialVolume):
 
 _ROUNDING = 1e-9
 """Size, relative to the largest second derivative, up to which a second derivative counts as rounding."""
+_SHEAR = 1e-3
+"""The simple shear whose energy gives a shear modulus."""
 _VOLUMES = np.linspace(0.5, 2.0, 31)
 """The values of J at which volumetric energies are compared."""
 
@@ -259,6 +261,13 @@ class ReferenceEnergy(Material):
     def stiffness(self) -> float:
         """U''(1), Pa, for the parameters' typical values."""
         return float(np.interp(1.0, _VOLUMES, np.gradient(self.pressures, _VOLUMES)))
+
+    @cached_property
+    def shear_stiffness(self) -> float:
+        """The second derivative of psi by simple shear at rest, Pa, for the parameters' typical values."""
+        F = np.tile(np.eye(3), (3, 1, 1))
+        F[:, 0, 1] = -_SHEAR, 0.0, _SHEAR
+        return float(np.diff(respond(self, 3)(states_of(self, F, 3)).energy, 2)[0]) / _SHEAR**2
 
     @cached_property
     def reads_parameters_in_volume(self) -> bool:
