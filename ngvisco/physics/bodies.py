@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import reduce
 from operator import add
 from typing import Annotated, Any, Protocol, TypeAlias, runtime_checkable
@@ -20,6 +20,7 @@ from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.heat import Heat
 from ngvisco.physics.material import Material, part_of
 from ngvisco.physics.materials.network import Network
+from ngvisco.physics.parameters import renamed, told_apart
 from ngvisco.physics.rheology import Viscosity
 from ngvisco.physics.tensors import IDENTITY, Tensor, if_positive, opening, shear_across, sqrt
 from ngvisco.physics.variables import CreepFrame, PerVolume, Values, Variable
@@ -345,6 +346,13 @@ class Body:
         network = part_of(self.material, Network)
         rules = {None: self.creep} if network is None else {n: b.creep for n, b in network.parts.items()}
         return {name: rule for name, rule in rules.items() if rule is not None and rule.flows}
+
+    def with_own_names(self) -> Body:
+        """The body, with its name as a prefix of the parameters made of its moduli."""
+        names = ("material", "viscosity", "creep")
+        apart = told_apart(getattr(self, name) for name in names)
+        laws = {name: renamed(law, f"{self.name}_") for name, law in zip(names, apart, strict=True)}
+        return replace(self, **{name: law for name, law in laws.items() if law is not getattr(self, name)})
 
     def __post_init__(self) -> None:
         is_name = isinstance(self.name, str) and re.fullmatch(r"[A-Za-z]\w{0,59}", self.name, re.ASCII)

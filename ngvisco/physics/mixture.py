@@ -56,7 +56,7 @@ from ngvisco.physics.material import ElasticState, Material
 from ngvisco.physics.materials.damaged import DAMAGE, Damaged
 from ngvisco.physics.materials.perspective import ReferenceEnergy
 from ngvisco.physics.materials.thermal import Entropy, Thermal
-from ngvisco.physics.parameters import Parameter, distinct, parameters_in, renamed, told_apart
+from ngvisco.physics.parameters import Parameter, distinct, parameters_in
 from ngvisco.physics.response import Respond
 from ngvisco.physics.tensors import IDENTITY, Tensor, identity_like
 from ngvisco.physics.variables import PRESSURE, Jacobian, Values, Variable
@@ -86,7 +86,7 @@ class Mixture(Material):
     interface cuts, and not to a mixture."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "bodies", tuple(_with_own_names(body) for body in self.bodies))
+        object.__setattr__(self, "bodies", tuple(body.with_own_names() for body in self.bodies))
         _ = self.parameters  # raises ParameterError for two parameters of one name
 
     @cached_property
@@ -447,11 +447,3 @@ class Mixture(Material):
         return InEquilibrium(
             states, names, shears, volumetric, self.parameters, self.heat, self.damages, self.driving
         )
-
-
-def _with_own_names(body: Body) -> Body:
-    """The body, with its name as a prefix of the parameters made of its moduli."""
-    names = ("material", "viscosity", "creep")
-    apart = told_apart(getattr(body, name) for name in names)
-    laws = {name: renamed(law, f"{body.name}_") for name, law in zip(names, apart, strict=True)}
-    return replace(body, **{name: law for name, law in laws.items() if law is not getattr(body, name)})

@@ -41,7 +41,7 @@ def _stress(mesh: Mesh, bodies: list[nv.Body], width: float) -> float:
     """Shear stress of a box over its shear, Pa, after one step; the box is 1 m high."""
     run = nv.Simulation(
         mesh,
-        nv.Model(bodies=bodies),
+        nv.Model(bodies=tuple(bodies)),
         dt=1.0,
         walls={"top": nv.PrescribedTangential((SHEAR, 0)), "bottom": nv.NoSlip()},
         discretisation=nv.Discretisation(k=2, m=1),
