@@ -329,6 +329,68 @@ for kind in BINGHAMS:
         """)(partial(_couette, kind))
 
 
+# --- a tube that yields under pressure and keeps stress when the pressure ends -----------------------------
+
+YIELDED, TUBE, SHEAR_YIELD = 1.4, (1.0, 2.0), 1 / math.sqrt(3)
+"""Radius up to which the tube yields and radii of the tube, m; shear stress at yield for sigma_Y = 1 Pa."""
+PRESSURE = SHEAR_YIELD * (2 * math.log(YIELDED / TUBE[0]) + 1 - (YIELDED / TUBE[1]) ** 2)
+LOADED, UNLOADED, TUBE_TAU = 5.0, 12.0, 0.25
+
+
+def _hoop(r: float, is_loaded: bool) -> float:
+    """The hoop stress of an elastic and ideally plastic tube in plane strain, and after elastic unloading."""
+    a, b = TUBE
+    plastic = SHEAR_YIELD * 2 * (1 + math.log(r / a)) - PRESSURE
+    around_it = SHEAR_YIELD * (YIELDED / b) ** 2 * (1 + (b / r) ** 2)
+    elastic_part = PRESSURE * a**2 / (b**2 - a**2) * (1 + (b / r) ** 2)
+    return (plastic if r < YIELDED else around_it) - (0.0 if is_loaded else elastic_part)
+
+
+def _mean_hoop(run: nv.Simulation, r: float) -> float:
+    """The mean of the hoop stress on a circle about the axis."""
+    angles = np.linspace(0.1, 2 * np.pi + 0.1, 24, endpoint=False)
+    c, s = np.cos(angles), np.sin(angles)
+    T = run.fields["cauchy_stress"](run.mesh(r * c, r * s))
+    return float(np.mean(s * s * T[:, 0] - 2 * s * c * T[:, 1] + c * c * T[:, 4]))
+
+
+@CASES(f"""autofrettage
+    A tube yields up to a radius under an inner pressure, and keeps a hoop stress when the pressure ends.
+    label: Hill 1950, Lame 1852
+    setting: Plane strain, radii {TUBE[0]:g} and {TUBE[1]:g} m, yield up to {YIELDED:g} m, sigma_Y = 1 Pa, G =
+      400 Pa, K_e = 10 G, G_m = 20 Pa s; the pressure rises in 4 s, stays, and ends between {LOADED:g} and
+      9 s; open walls, curved triangles, maxh = 0.3 m, steps of {TUBE_TAU:g} s. The bounds were stated before
+      trials.
+    - hoop stress under pressure at 1.1 m over the exact one in [0.95, 1.05]: three cells across the tube
+    - hoop stress under pressure at 1.7 m over the exact one in [0.95, 1.05]: three cells across the tube
+    - hoop stress left at 1.1 m over the exact one in [0.85, 1.15]: a difference of two stresses
+    - hoop stress left at 1.7 m over the exact one in [0.93, 1.07]: a difference of two stresses
+    - closure
+    """)
+def _autofrettage() -> Measured:
+    model = nv.Model(
+        material=nv.ReferentialNeoHookean(K_e=4000.0, G_e=200.0),
+        viscosity=nv.StokesViscosity(K_v=20.0, G_v=20.0),
+        creep=nv.Perzyna(sigma_Y=1.0, G_m=20.0),
+    )
+    pressure = nv.table([0, 4, LOADED, 9, UNLOADED], [0, PRESSURE, PRESSURE, 0, 0])
+    run = nv.Simulation(
+        annulus(*TUBE, maxh=0.3),
+        model,
+        dt=TUBE_TAU,
+        initial=nv.Initial(density=1.0),
+        walls={"inner": nv.Open(pressure=pressure), "outer": nv.Open()},
+    )
+    rows = []
+    for until, word in ((LOADED, "under pressure"), (UNLOADED, "left")):
+        run.run(until)
+        for r in (1.1, 1.7):
+            computed, exact = _mean_hoop(run, r), _hoop(r, until == LOADED)
+            yield f"hoop stress {word} at {r:g} m over the exact one", computed / exact
+            rows.append([until, r, computed, exact])
+    yield Table("hoop stress", "t, s | r, m | computed, Pa | exact, Pa", rows)
+
+
 @CASES(f"""norton-creep
     Under a constant shear stress Norton's rule creeps at the rate of its power law.
     label: Norton 1929
