@@ -258,7 +258,7 @@ class ReducedResidual:
         forms about the state is used.
         """
         c, hyper = self._derived(x)
-        loads = self._loads(c if hyper is None else c | {"jump": hyper.jumps})
+        loads = self._joined("loads", CellPart.loads, c if hyper is None else c | {"jump": hyper.jumps})
         by_place = {
             name: {u: values for (at, u), values in loads.items() if at == name} for name in (CELLS, FACETS)
         }
@@ -313,16 +313,16 @@ class ReducedResidual:
             self.step.stresses.refresh(lambda: (n.z.value, n.zeta.value))
         return n
 
-    def _loads(self, c: Coefficients) -> dict[tuple[str, str], np.ndarray]:
-        """Loads of all terms in all cells, see ``CellPart.loads``."""
+    def _joined(self, name: str, work: Callable[[CellPart, Coefficients], Arrays], c: Coefficients) -> Arrays:
+        """Arrays of all cells, computed part by part, by programs with the name ``name``."""
 
         def of_part(part: CellPart) -> Arrays:
-            return self.programs(("loads", part.cells.start), part.loads, c)
+            return self.programs((name, part.cells.start), partial(work, part), c)
 
         parts = self.share(of_part, self.parts)
         if len(parts) == 1:
             return parts[0]
-        return {name: np.concatenate([of[name] for of in parts], axis=-1) for name in parts[0]}
+        return {key: np.concatenate([of[key] for of in parts], axis=-1) for key in parts[0]}
 
     def _derived(self, x: np.ndarray) -> tuple[dict[str, np.ndarray], HyperValues | None]:
         """Coefficients of all unknowns at x, and the hyperviscosity's values; a real x is put into the
@@ -346,15 +346,9 @@ class ReducedResidual:
         fields = self.parts[0].fields(c) if len(self.parts) == 1 else None
 
         def joined(name: str, loads: Callable[[CellPart, PartFields], np.ndarray]) -> np.ndarray:
-            def of_part(part: CellPart) -> np.ndarray:
-                if fields is not None:
-                    return loads(part, fields)
-                return self.programs(
-                    (name, part.cells.start), lambda c: {name: loads(part, part.fields(c))}, c
-                )[name]
-
-            parts = self.share(of_part, self.parts)
-            return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
+            if fields is not None:
+                return loads(self.parts[0], fields)
+            return self._joined(name, lambda part, c: {name: loads(part, part.fields(c))}, c)[name]
 
         def slope(part: CellPart, u: PartFields) -> np.ndarray:
             of_part: np.ndarray = called(part.inside.op.z.loads, self.slope(u[0].z.value))

@@ -35,6 +35,7 @@ from ngsolve import (
 from ngsolve.comp import IntegrationRuleSpace
 
 from ngvisco.errors import MeshError
+from ngvisco.forms.mesh.mesh_arrays import rules
 from ngvisco.forms.mesh.symmetry import Symmetry
 
 NEGLIGIBLE = 1e-14
@@ -112,7 +113,7 @@ class SidePoints:
     def __init__(self, mesh: Mesh, degree: int, symmetry: Symmetry) -> None:
         self.mesh = mesh
         self.shape = ET.SEGM if mesh.dim == 2 else ET.TRIG
-        rule = IntegrationRule(self.shape, degree)
+        rule = rules(mesh.dim - 1, degree)[self.shape]
         self.rules = [
             IntegrationRule(points=[tuple(point[: mesh.dim - 1])], weights=[1.0]) for point in rule.points
         ]

@@ -318,10 +318,10 @@ def _mismatches(step: Step, sampler: Sampler, values: Given) -> Iterator[str]:
         gap = square(values[variable.name] - expected)
         worst = sampler.extrema(gap)[1]
         if worst > _MATCH**2 * scale:
-            place = ", ".join(f"{c:.4g}" for c in sampler.place_of_largest(gap))
+            place = sampler.largest_in_words(sampler.values(gap), {})
             yield (
                 f"initial values: {variable.name} does not follow from {distortion.name} (the difference is "
-                f"{worst**0.5:.3g}, at ({place}) m); {variable.name} and {distortion.name} are transported "
+                f"{worst**0.5:.3g}, {place}); {variable.name} and {distortion.name} are transported "
                 "as independent variables, with the given values"
             )
 
