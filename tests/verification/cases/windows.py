@@ -1,17 +1,17 @@
 """Bodies under stress between windows: matter that crosses an open wall does not push them."""
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from netgen.occ import Circle, OCCGeometry, WorkPlane
-from ngsolve import BND, CF, BoundaryFromVolumeCF, Integrate, Mesh, cos, exp, specialcf, x, y, z
+from ngsolve import BND, CF, BoundaryFromVolumeCF, Integrate, Mesh, cos, exp, specialcf, sqrt, x, y, z
 from scipy.signal import residue
 
 import ngvisco as nv
 from ngvisco.forms.boundary.walls import Conditions
-from ngvisco.geometries import box, structured_box
+from ngvisco.geometries import annulus, box, structured_box
 from tests.verification.case import Cases, Measured, Table
-from tests.verification.setups import fluid, followed, stokes
+from tests.verification.setups import elastic, fluid, followed, stokes
 
 CASES = Cases("Bodies and their interfaces")
 
@@ -396,3 +396,69 @@ def _squeezed() -> Measured:
     yield "force over the exact one", force
     yield "radial velocity in the film over the exact one", velocity
     yield "error of the force with 0.9 of the stress at r = 1 m", abs(_film(0.9)[0] - 1)
+
+
+# --- a strip that is bent to a closed ring ----------------------------------------------------------------
+"""A strip of incompressible neo-Hookean matter is bent to the ring 1/2 < r < 1 (Rivlin): lambda_t = r/r_0
+with r_0^2 = 1/2, T_rr = W(r/r_0) - W(1/(2 r_0)), W(l) = G/2 (l^2 + 1/l^2), and both sides are free. The start
+has the strains of the ring without its pressure. Therefore waves of compression begin, and cross 25
+cells in a step. The midpoint rule does not damp these waves, so that v changes its sign from step to step.
+"""
+
+RING_BULK, RING_SHEAR, RING_STEP, RING_END = 200.0, 1.0, 0.1, 3.0
+MOMENT, INNER, OUTER = 0.06109, -1.16895, 1.18049
+"""Moment, N, and T_tt, Pa, at r = 0.55 and 0.95 m, by the formulas above."""
+
+
+def _bent_ring(scheme: Literal["backward-euler", "midpoint"]) -> tuple[float, float, float, float]:
+    """Moment and T_tt at 0.55 and 0.95 m, each over its exact value, and the root mean square of v, m/s."""
+    r, r_0 = sqrt(x * x + y * y), 0.5**0.5
+    along, c, s = r / r_0, x / r, y / r
+    F = CF((c / along, -along * s, 0, s / along, along * c, 0, 0, 0, 1), dims=(3, 3))
+    run = nv.Simulation(
+        annulus(0.5, 1.0, 0.25),
+        nv.Model(
+            material=elastic("finite", RING_BULK, RING_SHEAR), viscosity=nv.StokesViscosity(K_v=1.0, G_v=0.2)
+        ),
+        dt=RING_STEP,
+        scheme=scheme,
+        walls={"inner": nv.Open(), "outer": nv.Open()},
+        discretisation=nv.Discretisation(k=2, m=1),
+        initial=nv.Initial(density=0.05, F=F),
+    )
+    run.run(RING_END)
+    radii, angles = np.linspace(0.505, 0.995, 50), np.linspace(0, 2 * np.pi, 36, endpoint=False)
+    e_t = np.array([-np.sin(angles), np.cos(angles)])
+
+    def hoop(radius: float) -> float:
+        T = run.fields["cauchy_stress"](run.mesh(radius * np.cos(angles), radius * np.sin(angles)))
+        return float(np.einsum("in,nij,jn->n", e_t, T.reshape(-1, 3, 3)[:, :2, :2], e_t).mean())
+
+    T_tt = np.array([hoop(radius) for radius in radii])
+    moment = np.trapezoid(T_tt * radii, radii) + 0.005 * (T_tt[0] * radii[0] + T_tt[-1] * radii[-1])
+    v = run.fields["velocity"]
+    speed = (Integrate(v * v, run.mesh) / Integrate(CF(1.0), run.mesh)) ** 0.5
+    return float(moment) / MOMENT, hoop(0.55) / INNER, hoop(0.95) / OUTER, float(speed)
+
+
+@CASES(f"""bent-ring
+    A strip that is bent to a closed ring between open walls has Rivlin's moment and stays at rest; by the
+      midpoint rule, which does not damp the waves of the start, the velocity alternates from step to step.
+    label: benchmark: Rivlin 1949, bending of a strip
+    setting: A ring of 0.5 to 1 m, cells of 0.25 m, K_e = {RING_BULK:g}, G_e = {RING_SHEAR:g} Pa, K_v = 1,
+      G_v = 0.2 Pa s, 0.05 kg/m3; strains of the ring at the start; steps of {RING_STEP:g} s until
+      {RING_END:g} s, backward Euler.
+    - moment over the exact one in [0.98, 1.02]: volumes change by 0.5 %
+    - hoop stress at 0.55 m over the exact one in [0.98, 1.02]: as above
+    - hoop stress at 0.95 m over the exact one in [0.98, 1.02]: as above
+    - error of rest, root mean square of v, m/s <= 1e-3: 0.3 mm of the radius in the run
+    - control: root mean square of v by the midpoint rule, m/s >= 0.01: waves that nothing damps
+    - closure
+    """)
+def _bent() -> Measured:
+    moment, inner, outer, speed = _bent_ring("backward-euler")
+    yield "moment over the exact one", moment
+    yield "hoop stress at 0.55 m over the exact one", inner
+    yield "hoop stress at 0.95 m over the exact one", outer
+    yield "error of rest, root mean square of v, m/s", speed
+    yield "control: root mean square of v by the midpoint rule, m/s", _bent_ring("midpoint")[-1]
