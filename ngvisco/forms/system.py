@@ -270,8 +270,7 @@ class Step:
         self.moving_walls = MovingWalls(self.walls, self.layout, self.state)
         k, m, bonus = self.discretisation.k, self.discretisation.m, self.discretisation.quadrature_bonus
         response = model.material.response(mesh.dim)
-        quadrature = Quadrature.for_orders(mesh, k, m, bonus, self.layout.symmetry)
-        self.quadrature = quadrature.of_strains() if self.layout.states.strains.all() else quadrature
+        self.quadrature = Quadrature.for_orders(mesh, k, m, bonus, self.layout.symmetry)
         self.energy = StoredEnergy(model.material, mesh.dim)
         if response is not None:
             self.energy = PointwiseEnergy(model.material, response, self.quadrature, self.now, m)

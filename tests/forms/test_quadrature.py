@@ -17,7 +17,7 @@ from ngvisco.forms.mesh.symmetry import NO_SYMMETRY
 from ngvisco.forms.start.initial import set_initial
 from ngvisco.forms.system import Step
 from ngvisco.forms.terms import momentum
-from ngvisco.geometries import box, sphere
+from ngvisco.geometries import box
 from tests.support import uncondensed
 
 DEGREES = [3, 6, 9]
@@ -37,41 +37,11 @@ def test_both_sides_of_a_face_see_the_same_points(k: int, m: int) -> None:
     """From degree 8 on NGSolve's rules for triangles have no symmetry, and cells number their faces
     differently."""
     mesh = box((1, 0.7, 0.8), 1.0)
-    quadrature = Quadrature.for_orders(mesh, k, m)
-    for degree in {quadrature.facet_degree, quadrature.of_strains().facet_degree}:
-        assert_faces_have_equal_points(mesh, degree)
-
-
-def assert_faces_have_equal_points(mesh: Mesh, degree: int) -> None:
-    points = SidePoints(mesh, degree, NO_SYMMETRY)
+    points = SidePoints(mesh, Quadrature.for_orders(mesh, k, m).facet_degree, NO_SYMMETRY)
     places = np.stack([points.sample(c) for c in (x, y, z)], axis=1).reshape(-1, points.per_side, 3)
     order = [side[np.lexsort(np.round(side, 9).T)] for side in places]
     found = np.unique(np.round(np.stack(order).reshape(len(places), -1), 9), axis=0)
     assert len(found) == mesh.nface
-
-
-def test_faces_have_exact_integrals_with_fewer_points_for_energies_of_strains() -> None:
-    """The integrals are those of polynomials of degree 2k + m = 5, and not of degree 6."""
-    mesh = box((1.0, 1.0, 1.0), 0.7)
-    usual = Quadrature.for_orders(mesh, 2, 1)
-    fewer = usual.of_strains()
-    assert (usual.facet_degree, fewer.facet_degree) == (6, 5)
-    assert [SidePoints(mesh, q.facet_degree, NO_SYMMETRY).per_side for q in (usual, fewer)] == [12, 7]
-    for power, is_exact in ((5, True), (6, False)):
-        f = (x + 0.3 * y + 0.2 * z) ** power
-        few, many = (q.integrate_facets(f) for q in (fewer, Quadrature(mesh, 10, 10)))
-        assert (abs(few / many - 1) <= 1e-13) == is_exact
-
-
-def test_energies_of_moduli_and_curved_cells_keep_the_higher_degree_on_faces() -> None:
-    def degree(mesh: Mesh, G_e: nv.Parameter | float = 5.0) -> int:
-        model = nv.Model(material=nv.ReferentialNeoHookean(K_e=10.0, G_e=G_e))
-        return nv.Simulation(mesh, model, dt=0.1).rothe_step.quadrature.facet_degree
-
-    cube, curved = box((1, 1, 1), 1.0), sphere(1.0, 1.0)
-    assert curved.GetCurveOrder() > 1
-    assert degree(cube) == 5
-    assert degree(cube, nv.Parameter("stiffness", start=5.0)) == degree(curved) == 6
 
 
 def test_integrands_are_interpreted_by_default(monkeypatch):

@@ -37,20 +37,12 @@ VERTICES: dict[ET, list[tuple[float, ...]]] = {
 }
 """Vertices of NGSolve's reference facets and cells."""
 
-_A, _B = (6 - 15**0.5) / 21, (6 + 15**0.5) / 21
-_RADON = IntegrationRule(
-    points=[(1 / 3, 1 / 3), *(p for t in (_A, _B) for p in ((t, t), (1 - 2 * t, t), (t, 1 - 2 * t)))],
-    weights=[9 / 80, *3 * [(155 - 15**0.5) / 2400], *3 * [(155 + 15**0.5) / 2400]],
-)
-"""Radon's rule of degree 5 on a triangle, which has 7 points; NGSolve's rule has 12."""
-
 _KINDS = {1: (ET.SEGM,), 2: (ET.TRIG, ET.QUAD), 3: (ET.TET, ET.PRISM, ET.PYRAMID, ET.HEX)}
 
 
 def rules(dim: int, degree: int) -> dict[ET, IntegrationRule]:
     """Rules of one degree for all types of cells, or facets, of dimension ``dim``."""
-    radon = {ET.TRIG: _RADON} if (dim, degree) == (2, 5) else {}
-    return {et: IntegrationRule(et, degree) for et in _KINDS[dim]} | radon
+    return {et: IntegrationRule(et, degree) for et in _KINDS[dim]}
 
 
 def values_on(wall: Region, function: CoefficientFunction, degree: int) -> np.ndarray:

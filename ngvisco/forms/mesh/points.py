@@ -35,7 +35,6 @@ from ngsolve import (
 from ngsolve.comp import IntegrationRuleSpace
 
 from ngvisco.errors import MeshError
-from ngvisco.forms.mesh.mesh_arrays import rules
 from ngvisco.forms.mesh.symmetry import Symmetry
 
 NEGLIGIBLE = 1e-14
@@ -113,7 +112,7 @@ class SidePoints:
     def __init__(self, mesh: Mesh, degree: int, symmetry: Symmetry) -> None:
         self.mesh = mesh
         self.shape = ET.SEGM if mesh.dim == 2 else ET.TRIG
-        rule = rules(mesh.dim - 1, degree)[self.shape]
+        rule = IntegrationRule(self.shape, degree)
         self.rules = [
             IntegrationRule(points=[tuple(point[: mesh.dim - 1])], weights=[1.0]) for point in rule.points
         ]

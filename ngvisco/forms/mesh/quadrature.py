@@ -11,7 +11,7 @@ import os
 import shutil
 import sys
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -19,14 +19,12 @@ from typing import Any
 import numpy as np
 from ngsolve import (
     CF,
-    L2,
     VOL,
     BitArray,
     CoefficientFunction,
     GridFunction,
     Integrate,
     IntegrationRule,
-    LinearForm,
     Mesh,
     VectorValued,
     ds,
@@ -48,6 +46,7 @@ SYMMETRIC_DEGREE = 6
 """Highest degree at which NGSolve's rules of triangles have all symmetries of the triangle.  The two sides of
 a face number its vertices differently: with a less symmetric rule they would have different points, and the
 flux out of one cell would not be the flux into the other."""
+_FACET_BASE_ORDER = 5  # default order of NGSolve's Integrate on element boundaries
 
 
 @dataclass(frozen=True)
@@ -86,19 +85,6 @@ class Quadrature:
         degree += degree % 2
         # transport on facets needs 2m + 1 for its order; see SYMMETRIC_DEGREE
         return cls(mesh, degree, degree if mesh.dim == 2 else min(degree, SYMMETRIC_DEGREE), m, symmetry)
-
-    def of_strains(self) -> Quadrature:
-        """The rules for an energy that depends on strains alone: on straight faces, a degree less.
-
-        Polynomial terms on facets have at most the degrees 2k + m and k + 2m, of the mass flux times w and of
-        the transport, so that the lower degree is exact for them, too.  An energy that also depends on moduli
-        or amounts of bodies varies more within a cell: in two dimensions, a body would lose 3e-6 of its
-        momentum in place of 8e-8.  In two dimensions, the lower degree would save 3 % of a step's time, and
-        is not used.
-        """
-        if self.mesh.dim == 2 or not self.has_constant_weights:
-            return self
-        return replace(self, facet_degree=min(self.facet_degree, self.volume_degree - 1))
 
     @property
     def collocation_order(self) -> int:
@@ -141,10 +127,8 @@ class Quadrature:
         return self._on_facets(integrand) * over
 
     def walls(self, integrand: CoefficientFunction) -> Any:
-        """The integral over the boundary of the mesh by the rule of ``facets``, or by the rule of the next
-        even degree, since NGSolve has spaces of values at the points for even degrees only."""
-        degree = self.facet_degree + self.facet_degree % 2
-        return self._on_facets(integrand) * ds(intrules=rules(self.mesh.dim - 1, degree))
+        """The integral over the boundary of the mesh by the rule of ``facets``."""
+        return self._on_facets(integrand) * ds(intrules=self._facet_rules)
 
     def _in_cells(self, integrand: CoefficientFunction) -> CoefficientFunction:
         return weighted(integrand, self.symmetry.radius)
@@ -185,9 +169,10 @@ class Quadrature:
 
     def integrate_facets(self, integrand: CoefficientFunction) -> float:
         """Integral over the boundaries of all cells, by the rule of ``facets``."""
-        tests = L2(self.mesh, order=0)  # Integrate knows no other rules on boundaries than NGSolve's
-        of_cells = LinearForm(self.facets(integrand * tests.TestFunction())).Assemble().vec
-        return float(self.mesh.comm.Sum(of_cells.FV().NumPy().sum()))
+        order = self.facet_degree - _FACET_BASE_ORDER
+        total = self._on_facets(integrand) * dx(element_boundary=True, bonus_intorder=order)
+        # NGSolve does not sum this kind of integral over the ranks
+        return float(self.mesh.comm.Sum(Integrate(total, self.mesh)))
 
 
 def values_of(function: GridFunction) -> np.ndarray:

@@ -27,7 +27,7 @@ class QuadraturePoints:
             self._space = IntegrationRuleSpace(self.mesh, order=quadrature.volume_degree // 2)
             self._integral: Callable[[CoefficientFunction], Any] = quadrature.cells
         else:
-            self._space = IntegrationRuleSpaceSurface(self.mesh, order=(quadrature.facet_degree + 1) // 2)
+            self._space = IntegrationRuleSpaceSurface(self.mesh, order=quadrature.facet_degree // 2)
             self._integral = quadrature.walls
         self._here = np.ones(self._space.ndof, dtype=bool)
         self._here = self._loaded(CoefficientFunction(1.0) if on is None else on) != 0
