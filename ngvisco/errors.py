@@ -34,7 +34,7 @@ class NgviscoError(Exception):
 
     key = ""
 
-    def __reduce__(self) -> tuple[Any, ...]:  # Exception's own calls the constructor with the message alone
+    def __reduce__(self) -> tuple[Any, ...]:  # Exception.__reduce__ gives the constructor a message alone
         attributes = {name: value for name, value in vars(self).items() if can_be_copied(value)}
         return BaseException.__new__, (type(self), *self.args), attributes
 

@@ -148,7 +148,7 @@ def _check_size(text: str, tree: ast.AST) -> None:
 
 
 def _operations(node: ast.AST) -> float:
-    """Number of operations of a tree with every use of a part written out; 0 for numbers alone."""
+    """Number of operations of a tree, in which each use of a part counts; 0 for numbers alone."""
     if isinstance(node, ast.Name):
         return 1
     inner = sum(_operations(child) for child in ast.iter_child_nodes(node))

@@ -220,7 +220,7 @@ class TwoLevelSolver:
     def _smoothed(self, r: np.ndarray) -> np.ndarray:
         """Correction of the fine functions for their residual ``r``, by sweeps that start at zero."""
         x = step = self._smoother * r
-        ratio = half = (SMOOTHED - 1) / (SMOOTHED + 1)  # half of the eigenvalues' interval over its middle
+        ratio = half = (SMOOTHED - 1) / (SMOOTHED + 1)  # half of the eigenvalues' range over its middle
         for _ in range(SWEEPS - 1):
             last, ratio = ratio, 1 / (2 / half - ratio)
             remaining = r - self._of_fine.sum(self._among_fine @ x)

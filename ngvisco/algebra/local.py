@@ -280,7 +280,7 @@ def _nodes(blocks: np.ndarray, pieces: int) -> tuple[np.ndarray, np.ndarray | No
     shape[:, order[rank:]] = la.solve_triangular(triangle[:rank, :rank], triangle[:rank, rank:])
     nodal = by_pieces[..., order[:rank]]
     if rank == 1 and np.allclose(shape, 1.0, rtol=0, atol=NEGLIGIBLE):
-        shape[:] = 1.0  # constant rows
+        shape[:] = 1.0  # all rows of a piece are equal
     error = abs(nodal @ shape - by_pieces).max(axis=(1, 2, 3))
     if (error > NEGLIGIBLE * abs(blocks).max(axis=(1, 2))).any():
         return blocks, None

@@ -133,7 +133,7 @@ class Converter:
                 continue
             except UnitError as error:
                 key = error.key or name  # the fault may be in an exponent of the unit
-                if key == name or not isinstance(data.get(key), (list, dict)):  # else refused by the schema
+                if key == name or not isinstance(data.get(key), (list, dict)):  # the schema refuses these
                     result[key] = Wrong(f"{shown(data[key]) if key in data else 'is missing'}: {error}")
                 continue
             if in_si is not value and in_si != value:

@@ -1,8 +1,8 @@
 """Tensors of bodies with sharp interfaces: slopes in cut cells, and determinants that follow from the volume.
 
 The rates of B and J keep det B = J^p, since tr Pi = 0; here J = 1/N. The mean of the tensors of unequally
-strained matter has a larger determinant, and no flow takes this mean back to I: a body without strain would
-keep a strain.
+strained matter has a larger determinant, and no flow takes this mean back to I. Without restored
+determinants, a body that has recovered its shape would therefore keep a strain.
 """
 
 from __future__ import annotations

@@ -420,9 +420,9 @@ class Sharpening:
     # --- arrays of cells, vertices and facets -----------------------------------------------------------
 
     def _of_cells(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Arrays of each cell: numbers of the cell's functions, (cells, functions); the matrix from
-        coefficients to values at corners, (cells, corners, functions), and its inverse; and integrals, by
-        the rule of the forms, of linear functions that are 1 at one corner, (cells, corners)."""
+        """Four arrays: numbers of the functions of each cell, (cells, functions); matrices from coefficients
+        to values at corners, (cells, corners, functions); the inverse matrices; and integrals of the linear
+        functions that are 1 at one corner, by the rule of the forms, (cells, corners)."""
         space = self.step.layout.scalar_space("z")
         dofs = numbers_of_cells(space)
         function, values = GridFunction(space), np.empty((*self._x.shape[:2], dofs.shape[1]))

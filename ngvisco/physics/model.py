@@ -67,7 +67,7 @@ class CreepMechanism:
         return content.strain, z[content.name] / amount
 
     def matter(self, z: Values) -> Any:
-        """The reference volume of all matter per actual volume: A, or N of bodies."""
+        """The reference volume of all matter per actual volume: A, or N for bodies."""
         return z["A"] if self.fractions is None else self.fractions.total(z)
 
     def amount(self, z: Values) -> Any:
@@ -416,7 +416,7 @@ def _require_names_and_one_rest(bodies: Sequence[Any]) -> None:
 
 
 def open_state(creep: FlowRule | None, material: Material, m: int) -> tuple[ElasticState, str]:
-    """The elastic state of a material that leaves it open, with variables of order ``m``, and the reason.
+    """The default elastic state of a material with variables of order ``m``, and the reason for this state.
 
     "B" with creep, of the material or of a branch, because F winds up by creep. "B" for m = 0, because with
     constants in cells det F and J drift apart faster than with polynomials, and with F this drift frees rest

@@ -119,7 +119,7 @@ class RateTensors:
         return replace(result, nonlinear_variables=tuple(nonlinear))
 
     def by_groups(self, groups: Sequence[Sequence[str]], states: StateSpace) -> RateTensors:
-        """The tensors for a Pi of each group of variables, given by names; a group creeps by its Pi alone."""
+        """The tensors if each group of variables creeps by its own Pi; ``groups`` has names of variables."""
         g, size = self.gradients, len(self.constant) - self.gradients
         masks = np.zeros((len(groups), states.size))
         for mask, names in zip(masks, groups, strict=True):

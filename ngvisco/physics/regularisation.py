@@ -174,8 +174,8 @@ def curvature_of(material: Material, dim: int) -> Curvature:
     hessians = hessians[np.isfinite(hessians).all(axis=(1, 2))]
     sizes = np.abs(hessians).max(axis=(1, 2), keepdims=True)
     scaled = hessians / np.where(sizes > 0, sizes, 1.0)
-    # the kernel of a mean of positive semidefinite matrices is their common kernel; otherwise the next lines
-    # check that the kernel is common
+    # if all matrices are positive semidefinite, the kernel of their mean is their common kernel; for other
+    # matrices, the next lines check that the kernel is common
     values, vectors = np.linalg.eigh(scaled.mean(axis=0))
     kernel = vectors[:, np.abs(values) <= _ZERO]
     if np.abs(scaled @ kernel).max(initial=0.0) > _ZERO:

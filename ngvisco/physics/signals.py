@@ -185,7 +185,7 @@ def number_rows(field: str, source: str | PathLike[str], timed: int = 0) -> np.n
 
     Semicolons separate the numbers if the file has any, else commas.  No name begins like a number.  Raises
     ParameterError for the parameter ``field``, also if the names contradict that the column ``timed``,
-    counted from 0, has times.  Warns of a name with a unit that is not an SI unit, as the unit is not read.
+    counted from 0, has times.  Units in names are not read; a unit other than an SI unit brings a warning.
     """
     path = fspath(require_file(field, source))
     try:

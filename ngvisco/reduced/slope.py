@@ -94,7 +94,7 @@ class PointwiseSlope:
         n = self.components
         if self.lagged.any() and self._has_own_response:
             return np.ascontiguousarray(self._answer(z_values).hessian.transpose(1, 2, 0))
-        result = np.zeros((z_values.shape[1], n, n)).transpose(1, 2, 0)  # in order for products at points
+        result = np.zeros((z_values.shape[1], n, n)).transpose(1, 2, 0)  # contiguous at each point
         directions = np.zeros((n, len(self._together)))
         for k, columns in enumerate(self._together):
             directions[columns, k] = 1.0

@@ -71,7 +71,7 @@ def require_names_of_their_own(material: Material, further: Sequence[str], carri
     bodies = material.bodies if isinstance(material, Mixture) else ()
     reserved = (*_OWN, *NAMES, *(body.name + _FRACTION for body in bodies), *(["body"] if bodies else []))
     reserved = (*reserved, *(v.strain for v in material.variables if isinstance(v, PlasticContent)))
-    if entropy_in(material) is not None:  # otherwise a given temperature may have this name
+    if entropy_in(material) is not None:  # without an entropy, a given temperature may have this name
         reserved = (*reserved, TEMPERATURE)
     for variable in material.variables:
         if variable.name in reserved:

@@ -80,7 +80,7 @@ class PassiveFields:
                 self._sources[f"creep_strain{suffix}_1"] = sqrt(2 / 3 * square(Pi))
 
         self.distances = Distances(step)
-        """Distances from the bodies' outlines, which have a time scheme of their own."""
+        """Distances from the bodies' outlines. The distances have a time scheme of their own."""
         self.parts |= {f"distance_{name}": part for name, part in self.distances.parts.items()}
 
     def _add_group(self, name: str, count: int, carrier: Carrier) -> None:

@@ -1,7 +1,7 @@
 """Checks the sign of each dissipation in every step: the sign of its column, and of its integrand at points.
 
-The energy's ledger closes for a dissipation of the wrong sign too, since form and column share the sign.  No
-mechanism gives energy: if one does, a law has a wrong sign, and the run warns of it by name.
+The energy's ledger closes for a dissipation of the wrong sign too, since form and column share the sign.  A
+mechanism that gives energy has a law with a wrong sign, and a warning names the dissipation.
 """
 
 from __future__ import annotations

@@ -12,7 +12,8 @@ from ngvisco.case.toml import parse_override
 from ngvisco.errors import NgviscoError
 
 _LONGEST = 100
-"""Most characters of a run's name: file systems allow 255 bytes, and names of other files contain it."""
+"""Largest number of characters in a run's name. File systems allow 255 bytes, and names of files contain the
+run's name."""
 
 
 class SweepError(NgviscoError, ValueError):

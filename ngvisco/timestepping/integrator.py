@@ -1,7 +1,7 @@
 """One step of a time scheme: its stages, each a Rothe step, and the state at the step's end.
 
 Dissipation is metered at each stage's solution, so that the ledger closes to rounding for every scheme;
-``scheme`` derives the identity.  If the end is not the last stage's solution, it combines the stages'
+``scheme`` derives the identity.  If the end is not the last stage's solution, the end combines the stages'
 momentum functionals and other evolving unknowns (rho, z, unknowns of further terms).  Then v follows from the
 momentum (``VelocityOfMomentum``) with moving walls at the end's time.  Unknowns without a time derivative
 (traces, multipliers, the creep rate field) keep their values of the last stage.
@@ -43,7 +43,8 @@ _RELAXED, _RELAXATION_TOLERANCE = (1.5, 2.5), 1e-12
 absolute tolerance on omega.  R then varies by this fraction of the distance B(u_0, U), which is of order
 tau^2."""
 _MEETINGS, _MEETING = 6, 1e-13
-"""Most Rothe steps to make a relaxed step end at a given time, and the relative tolerance on its length."""
+"""Largest number of Rothe steps for a relaxed step that ends at a given time, and the relative tolerance on
+its length."""
 _NOISE_MARGIN, _NOISE_DRAWS = 5.0, 8
 """Ratio of the rounding of R to the distance between a state and a copy with random rounding errors, and the
 number of copies.  The root mean square distance of these copies is taken, because a single distance may
@@ -304,7 +305,9 @@ class Integrator:
             self._velocity.v[:] = kept
 
     def _complete(self) -> None:
-        """Update dependent unknowns at an end that is no stage's solution; StepError if it has no energy."""
+        """Update dependent unknowns at an end that is no stage's solution.
+
+        Raises StepError if the end has no energy."""
         self.step.local_unknowns.update_without_means()
         if (reason := self.step.energy.failure or self.bounds.refusal()) is not None:
             raise StepError(f"at the end of the step {reason}")

@@ -322,7 +322,7 @@ def test_a_refused_case_leaves_no_files_and_cites_the_users_file(setting, case_f
     assert "(set on the command line)" in said
 
 
-def test_force_removes_nothing_for_a_case_that_is_refused(half, case_file):
+def test_the_force_option_removes_nothing_if_the_case_is_refused(half, case_file):
     before = {path: path.read_bytes() for path in half.rglob("*") if path.is_file()}
     for setting in ("time.dt=-1", "walls.lef.kind=Slip", "loads.0.g=[0, 'sqrt(0.05 - t)']"):
         assert ended("run", case_file, "-o", half, "--force", "--set", setting) == 2

@@ -162,7 +162,7 @@ def test_heat_of_upwinding_is_shared_by_both_sides_of_a_facet():
     assert first > 1e-6
 
 
-def test_conduction_with_constant_temperatures_in_cells_is_refused_by_name():
+def test_conduction_with_cellwise_constant_temperatures_is_refused():
     options = {"discretisation": nv.Discretisation(m=0), "laws": {"viscosity": VISCOSITY}}
     with pytest.raises(nv.NgviscoError, match=r"Discretisation\.m = 0: expected 1 or 2 with a flux of heat"):
         run_of("coupled", nv.Heat(conductivity=0.1), steps=0, **options)

@@ -229,7 +229,7 @@ def test_unstrained_matter_entering_a_strained_body_brings_a_warning(amounts, re
 
 
 @pytest.mark.parametrize("solver", [by_ci("split"), "coupled"])
-def test_given_amounts_of_inflow_bring_their_masses(solver):
+def test_bodies_flow_in_with_the_masses_of_their_given_amounts(solver):
     """Three tenths of 2 kg/m^3 and seven tenths of 0.5 kg/m^3 come in at 0.2 m/s through 0.5 m: 0.06 and
     0.035 kg/s."""
     bodies = [
@@ -383,7 +383,7 @@ def test_a_gas_vents_through_a_throttle_as_its_closed_form_says(solver, as_body)
 @pytest.mark.long
 @pytest.mark.ci
 @pytest.mark.parametrize(("solver", "leaves"), [("split", "medium"), ("coupled", "gas")])
-def test_a_body_vents_and_the_one_behind_it_expands_as_their_closed_form_says(solver, leaves):
+def test_a_body_vents_and_the_body_behind_it_expands_as_their_closed_form_says(solver, leaves):
     """A gas with p = J^-2 and a medium with p = J^-1.25 and a tenth of its density fill one half each of a
     chamber of 1 m at 1 Pa. The pressure outside is P, the opening has Z v = p - P, and venting is slow
     compared with sound.
@@ -449,7 +449,7 @@ def let_in(until, **given):
     return run
 
 
-def test_a_fluid_let_in_at_a_pressure_has_its_density_and_the_velocity_behind_the_shock():
+def test_inflow_at_a_pressure_has_the_density_of_the_pressure_and_the_velocity_behind_the_shock():
     """Rankine and Hugoniot give rho = 1.25 and v^2 = (p_2 - p_1)(1/rho_1 - 1/rho_2)."""
     run = let_in(1.0)
     v = ((1.25**2 - 1) * (1 - 1 / 1.25)) ** 0.5

@@ -106,7 +106,7 @@ def window(solver: str = "coupled") -> nv.Simulation:
 
 
 def channel(solver: str = "coupled", **options) -> nv.Simulation:
-    """A channel, periodic along a force, between a sliding lid and a floor; leaving matter enters again."""
+    """A channel with a sliding lid, periodic in the direction of a force: leaving matter enters again."""
     walls = {"top": nv.PrescribedTangential((0.5, 0.0)), "bottom": nv.NoSlip()}
     loads = [nv.Gravity((3.0, 0.0))]
     hyper = nv.HyperViscosity(mu=1e-4, p=4)

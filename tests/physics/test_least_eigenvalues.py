@@ -1,4 +1,4 @@
-"""The least eigenvalue of many tensors: a closed form selects a few tensors, which are decomposed."""
+"""The least eigenvalue of many tensors: a closed form selects the few tensors that are decomposed."""
 
 import numpy as np
 import pytest

@@ -145,8 +145,8 @@ class PrintedMooneyRivlin(Cofactor):
 
 
 def test_the_mooney_rivlin_rate_printed_in_the_paper_is_wrong() -> None:
-    """The printed rate misses the derivative of J^{-7/6} Cof F by order one; the package's rate is this
-    derivative."""
+    """The printed rate differs from the derivative of J^{-7/6} Cof F by a number of order one. The package's
+    rate equals the derivative."""
     L, Pi, F_0 = motion(6, True)
     h = 1e-4
 

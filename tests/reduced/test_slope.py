@@ -11,7 +11,7 @@ from ngvisco.physics.variables import CofactorLeftCauchyGreen, Distortion, Jacob
 
 
 def energy(F, J):
-    """An energy that has another value with arrays, in a part whose slope at rest is zero."""
+    """An energy with a part that only arrays evaluate. The slope of this part is zero at rest."""
     factor = 0.0 if isinstance(J, CoefficientFunction) else 0.5
     strain = square(F) - 3
     return 2 * square(F) + 6 * (J - 1) * (J - 1) - 4 * J + factor * strain * strain

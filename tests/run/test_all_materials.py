@@ -67,7 +67,7 @@ FORMS = {
     "neo-Hookean by two H": (EXAMPLES["ReferentialNeoHookean"], EXAMPLES["IsochoricNeoHookean"], 0.4),
     "by F and by B": (*(nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state=s) for s in "FB"), 0.6),
 }
-"""Two materials, and the largest ratio of their differences when h and tau are halved."""
+"""Two materials, and the largest ratio of the difference of their results to that with twice h and tau."""
 
 
 @pytest.mark.parametrize("name", others_by_ci(FORMS, "fluid by J and by A"))

@@ -157,7 +157,7 @@ def test_damage_of_one_body_changes_nothing_where_it_is_absent(mixture):
     assert found.slope[1, rest] - found.slope[0, rest] == pytest.approx(backing * law, rel=1e-12)
 
 
-def test_energy_released_by_the_volumes_of_a_growing_damage_is_counted():
+def test_energy_that_bodies_release_by_changing_volumes_as_damage_grows_is_counted():
     """A stretched block shares cells with a soft fluid: when its damage grows, the volumes change."""
     run = turned(beside=fluid(2.0), of_body={})
     run.advance()

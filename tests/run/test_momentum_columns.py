@@ -255,8 +255,8 @@ def test_inertia_keeps_momentum_and_its_loss_of_angular_momentum_is_a_column():
 
 
 def test_jumps_of_smooth_states_create_no_momentum():
-    """Neither the facet trace at which both tangents meet nor a quadrature that resolves the energy exerts a
-    net force."""
+    """The trace at which the tangents of the energy on both sides of a facet meet exerts no net force. A
+    quadrature that resolves the energy exerts no net force in cells."""
     ledger = thrown().run(until=0.1)
     size = ledger.column("momentum_size").max()
     assert abs(of(ledger, "defect_cells")).max() < 1e-9 * size
@@ -312,8 +312,8 @@ def test_walls_bear_the_torque_of_a_heated_block_that_they_clamp():
 @pytest.mark.parametrize("bodies", [0, 2])
 def test_walls_bear_the_momentum_defect_if_one_material_fills_the_domain(bodies, monkeypatch):
     """The defect is a hundredth of the impulse of the stress, and much larger than the momentum. Walls bear
-    it if one material fills the domain. A body in a medium may drift against viscosity, so that its whole
-    defect counts."""
+    the defect if one material fills the domain. A body in a medium may drift against viscosity, so that its
+    whole defect counts."""
     parts = [
         nv.Body(name="block", where=0.5 - x, material=SOLID, viscosity=STOKES, density=1.0),
         nv.Body(name="rest", material=SOLID, viscosity=STOKES, density=1.0),

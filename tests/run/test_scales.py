@@ -60,7 +60,7 @@ def test_a_floor_above_the_rates_of_the_flow_is_named_with_a_lower_one(viscosity
     ("speed", "floor", "is_named"),
     [(1e-4, 1e-3, True), (1e-4, 1e-7, False), (1.0, 1e-3, False), (0.0, 1e-3, False)],
 )
-def test_a_run_names_a_floor_above_its_rates_at_its_end_unless_its_matter_rests(speed, floor, is_named):
+def test_at_its_end_a_run_names_a_floor_above_its_rates_unless_its_matter_rests(speed, floor, is_named):
     law = nv.PowerLaw(K_v=0.1, consistency=0.1, n=0.5, floor=floor)
     velocity = (speed * sin(pi * x) * cos(pi * y), -speed * cos(pi * x) * sin(pi * y))
     run = small_run(material=nv.BarotropicFluid(B=10.0, gamma=2.0), viscosity=law, velocity=velocity)
@@ -86,7 +86,7 @@ def test_a_heat_capacity_that_spoils_the_thermal_stress_is_named_with_its_remedy
     assert scales(small_run(material=gas, temperature=300.0 + 10 * x)).heat == 0.0
 
 
-def test_scales_and_numbers_follow_their_definitions():
+def test_scales_and_dimensionless_numbers_follow_their_definitions():
     s = found(G_m=4.0)
     assert (s.length, s.kinematic_viscosity, s.velocity) == pytest.approx((1, 0.05, 0.5))
     assert s.maxwell == pytest.approx(4 / 20)
@@ -455,7 +455,7 @@ def test_the_energy_of_a_body_at_rest_is_below_the_estimate_of_its_rounding():
     assert 0 < noise < 1e-10
 
 
-def test_scales_give_cells_across_a_body_and_strains_until_it_loses_area():
+def test_scales_give_cells_across_a_body_and_the_strain_at_which_the_body_loses_area():
     """The strains grow like the fourth power of the cells across: 8 cells bear 7.7 strains, 16 cells 16
     times as many."""
     values = {"length": 1.0, "cell": 0.1, "velocity": 0.0, "speeds": (0.0, 0.0), "kinematic_viscosity": 0.0}

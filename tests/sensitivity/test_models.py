@@ -75,7 +75,7 @@ def test_tangents_and_adjoints_are_limits_of_differences(make, name, value, opti
 
 
 @pytest.mark.parametrize("solver", ["coupled", by_ci("split")])
-def test_heat_by_the_scheme_has_derivatives_in_spite_of_rounding(solver):
+def test_the_heat_of_the_scheme_has_derivatives_in_spite_of_rounding(solver):
     """The power changes relatively by 7e-5 of the change of the expansion. Rounding of 600 J of heat limits
     the accuracy."""
     value, of = 1e-3, ["power_heat_numerical at 0.06", "power_heat_numerical until 0.06", "bregman at 0.06"]

@@ -162,7 +162,7 @@ def test_the_folder_of_another_run_is_refused(folder, change, said):
         found(run(**change), folder)
 
 
-def test_a_folder_identifies_functions_by_their_values():
+def test_functions_of_a_kept_gradient_are_compared_by_values():
     """Functions are compared by values, because the text of an NGSolve expression has six digits, and that of
     a parameter no value."""
     sampler, (p, q) = run().sampler, (Parameter(3.0), Parameter(4.0))

@@ -36,7 +36,7 @@ def test_the_volume_of_a_ball_converges_with_the_mesh(dim, maxh, bound):
 @pytest.mark.parametrize(
     "mesh", [disc(1, maxh=0.4), Mesh(unit_square.GenerateMesh(maxh=0.4, quad_dominated=True))]
 )
-def test_fractions_of_layers_sum_to_one_within_their_bounds(mesh, order):
+def test_fractions_of_layers_sum_to_one_and_are_between_zero_and_one(mesh, order):
     """The cells are curved triangles and quadrilaterals, and the second shape lies over the first."""
     shapes = [Ball((0.2, 0.3), 0.35), HalfSpace((0, 0.3), (0.2, 1))]
     parts = fractions(mesh, shapes, order)

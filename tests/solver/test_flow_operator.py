@@ -179,7 +179,8 @@ def test_the_force_s_derivative_by_continuous_fields_is_exact(run, monkeypatch):
 
 @pytest.mark.parametrize("run", ["bodies", "cubic"], indirect=True)
 def test_the_field_equations_derivative_by_the_velocity_is_exact_also_at_jumps(run):
-    """Inflow into a cell carries jumps of z. The derivative of the density fluxes by v has the same form."""
+    """Inflow through a facet carries the jump of z, so that the rows of z depend on v at facets, too. The
+    derivative of the density fluxes by v has the same form as the derivative of these rows."""
     v, rng = linear(run, lambda x, y: (0.3 + 2 * y - x, 0.1 + x + 0.5 * y)), np.random.default_rng(6)
     split, at, operator = prepared(run, v + 0.05 * rng.standard_normal(v.shape), 0.02)
     direction, z = np.zeros(len(at.x)), split.unknowns.slices["z"]

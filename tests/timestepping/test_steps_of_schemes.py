@@ -181,7 +181,7 @@ def shear_modes(scheme, startup=0):
     return run.run(10.0).column("kinetic")
 
 
-def test_sdirk2_damps_a_viscosity_that_midpoint_reflects():
+def test_sdirk2_damps_stiff_viscous_modes_and_midpoint_does_not():
     midpoint, sdirk2, euler, started = (
         shear_modes(*how) for how in (("midpoint",), ("sdirk2",), ("backward-euler",), ("midpoint", 2))
     )
@@ -191,8 +191,8 @@ def test_sdirk2_damps_a_viscosity_that_midpoint_reflects():
     assert started[-1] < 1e-6 * started[0]
 
 
-def test_sdirk2_damps_a_creep_that_midpoint_reflects():
-    """A stretch relaxes with a Maxwell time of dt/1000: the midpoint rule changes its sign in each step."""
+def test_sdirk2_damps_stiff_creep_and_midpoint_reverses_the_stretch():
+    """A stretch relaxes with a Maxwell time of dt/1000: the midpoint rule reverses it in each step."""
     stretch = nv.Initial(values={"E": CF((1e-3, 0, 0, 0, -1e-3, 0, 0, 0, 0), dims=(3, 3))})
     options = {"material": nv.LinearElastic(K_e=10.0, G_e=5.0), "creep": nv.Creep(G_m=2e-4), "loads": []}
     left = {"midpoint": [], "sdirk2": []}
@@ -229,7 +229,7 @@ def test_a_relaxed_run_has_no_numerical_dissipation():
 
 
 @pytest.mark.parametrize(("dt", "speed"), [(1e-4, 1.0), by_ci(0.02, 1e-4), by_ci(0.02, 1e-6), (0.02, 0.0)])
-def test_a_relaxed_run_reaches_its_end_also_if_little_moves(dt, speed):
+def test_a_relaxed_run_reaches_its_end_also_in_short_steps_and_slow_motions(dt, speed):
     """In a short step, or a slow motion, the remainder is as small as the rounding of the energies, and its
     zero is as uncertain."""
     slow = nv.Initial(velocity=(speed * SWIRL[0], speed * SWIRL[1]))

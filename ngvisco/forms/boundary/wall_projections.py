@@ -1,7 +1,7 @@
 """The velocity of a momentum functional, and projections of velocities to those that the walls admit.
 
-The velocity of a momentum functional satisfies int rho v . w = <m, w> for all admissible w: it maximises <m,
-w> - 1/2 int rho |w|^2, whose maximum is E(rho, m), over the velocities that the walls admit.  Prescribed
+The velocity of a momentum functional satisfies int rho v . w = <m, w> for all w that the walls admit.  Among
+these w, the velocity maximises <m, w> - 1/2 int rho |w|^2, and the maximum is E(rho, m).  Prescribed
 coefficients are kept, and on oblique and curved walls (v . n, mu) = 0 for all multipliers mu (paper:
 Euler-small-BC-hyper).  One scalar mass matrix serves all components; conjugate gradients with its diagonal D
 take 30 to 60 iterations on any mesh.  With multipliers the iterations run in the null space of the walls'

@@ -179,5 +179,5 @@ class Ogden(ContinuedInJ):
 
     @property
     def _signs(self) -> list[int]:
-        """The sign of the exponents that each tensor serves."""
+        """For each tensor variable, the sign of the exponents whose powers it gives."""
         return [sign for sign in (1, -1) if any(alpha * sign > 0 for alpha in self.alpha)]

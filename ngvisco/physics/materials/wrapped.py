@@ -116,7 +116,7 @@ class WithQuadratic(Wrapper):
         if not having:
             expected = " or ".join(f"names among {listed(sorted(names))} only" for names in strains)
             raise ParameterError("WithQuadratic.only", self.only, expected)
-        if len(having) == 1:  # names of variables that only one form has choose this form
+        if len(having) == 1:  # the names belong to F alone or to B alone
             object.__setattr__(self, "material", having[0])
 
     @property

@@ -168,7 +168,7 @@ class Split:
         self._stale = size > options.stale_above * last
         if not self.is_steep and self._is_worn(size) and size <= options.growth * last:
             del f
-            self.renew(problem, at)  # a further residual would cost more than this increment
+            self.renew(problem, at)  # a new increment is cheaper than a further residual
             f = self.solved(at, expected)
             self.wear.count(self.preconditioner.iterations)
             size = self.size(f)

@@ -21,8 +21,8 @@ between 45 - phi/2 (Coulomb) and 45 (Roscoe 1970, no dilatancy). For its onset R
 
     45 - arcsin(a)/2,   a = ((2/3)(1 + nu)(beta + mu) - N (1 - 2 nu))/sqrt(4 - 3 N^2),
 
-with mu = sin phi for friction, beta = 0 for dilatancy, and nu Poisson's number.  N = 0 is the intermediate
-principal value of the deviator over sqrt(J_2), which vanishes with plastic flow in plane strain.
+with mu = sin phi for friction, beta = 0 for dilatancy, and nu Poisson's number.  N is the intermediate
+principal value of the stress deviator divided by sqrt(J_2).  In plastic flow in plane strain, N vanishes.
 """
 
 LENGTH, HEIGHT, SEED = 2.0, 1.0, 0.1

@@ -31,8 +31,9 @@ CASES = Cases("Bodies and their interfaces")
 # --- two discs that meet -------------------------------------------------------------------------------
 """All bodies share one continuous velocity field, so that two bodies cannot penetrate each other. Two bodies
 can separate because the film of the medium between them opens again. Half a turn about the middle maps the
-mesh, and the motion, to itself: momenta and places of both discs are opposite to rounding, until limiters
-decide differently at a threshold.
+mesh and the motion to themselves. Therefore momenta of the two discs, and their places relative to the
+middle, are opposite up to rounding. The symmetry ends when rounding decides at a threshold whether a limiter
+acts on one disc and not on the other.
 """
 
 SIZE, CELLS, RADIUS = (1.4, 0.8), (14, 8), 0.21
@@ -85,7 +86,7 @@ def _gap(table: nv.Bodies) -> float:
 
 
 def taken(run: nv.Simulation) -> np.ndarray:
-    """Energy that the model, and the scheme, dissipate in each step, J/m, (2, steps)."""
+    """Energies that the model and the scheme dissipate in each step, J/m, (2, steps)."""
     ledger = run.ledger
     rates = [ledger.column(entry.name) for entry in ledger.entries if entry.kind == "dissipation"]
     return np.array([ledger.column("dt") * sum(rates), sum(ledger.column(name) for name in NUMERICAL)])[:, 1:]
@@ -167,7 +168,7 @@ QUARTER, EMPTY, VISCOUS = (SIZE[0] / 2, SIZE[1] / 2), 1e-3, 4e-6
 def quarter(
     cells: tuple[int, int], tau: float, density: float = EMPTY, viscosity: float = VISCOUS
 ) -> tuple[nv.Simulation, nv.Bodies]:
-    """The quarter left of and above the middle, with planes of symmetry, at its start, and its table.
+    """The run of the upper left quarter, between planes of symmetry, at its start, and the bodies' table.
 
     ``density`` and ``viscosity`` are those of the medium."""
     thin, thick = (stokes(eta) for eta in (viscosity, DAMPING))

@@ -257,8 +257,8 @@ CUT_OFF_RUNS = (
 
 
 def cut_off(kind: str) -> Measured:
-    """Runs of the tube with the cut-off and a resolved, a too weak or no delta-term, and runs without a
-    cut-off."""
+    """Runs of the tube with the cut-off, where the delta-term is resolved, too weak or absent, and one run
+    without a cut-off."""
     rows, curves = [], []
     for name, delta, maxh, tau, m in CUT_OFF_RUNS:
         rho_max = None if name == "no cut-off" else RHO_MAX

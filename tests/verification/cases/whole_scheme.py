@@ -287,7 +287,7 @@ CASES(f"""whole-estimates-cofactors
 DURATION = 0.08
 LIMIT_MESHES = (0.35, 0.175)
 COUNTS = (8, 16, 32, 64)
-"""Numbers of steps for tau -> 0; delta and epsilon go to zero with the second number."""
+"""Numbers of steps for tau -> 0. For delta -> 0 and epsilon -> 0, all runs have the second number."""
 
 LIMIT_SIZES = {"linearised": (1e-2, 1e-3, 1e-4), "finite": (1e-3, 1e-4, 1e-5)}
 """Sizes of delta and epsilon; if the energy contains sqrt(delta), sqrt(delta) has to be small compared with
