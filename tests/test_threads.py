@@ -7,9 +7,11 @@ import sys
 import pytest
 from ngsolve import CF, SetNumThreads
 from support import small_run
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import ngvisco as nv
 from ngvisco import threads
+from ngvisco.solver.newton import CondensedJacobian
 
 
 def test_a_split_step_has_the_same_bits_with_two_threads():
@@ -58,6 +60,26 @@ def test_ngsolve_has_no_workers_during_array_work():
         assert threads.GetNumThreads() == 1
     finally:
         SetNumThreads(1)
+
+
+def test_the_blas_has_one_thread_in_every_factorisation_of_a_resumed_run(monkeypatch, tmp_path):
+    """With two threads, a factorisation may have other last bits, as with the kernel of Haswell."""
+    numbers, factorise = [], CondensedJacobian.factorise
+
+    def counted(*args):
+        numbers.append({blas["num_threads"] for blas in threadpool_info() if blas["user_api"] == "blas"})
+        factorise(*args)
+
+    def made(*observers):
+        return small_run(0.5, solver="coupled", observers=observers)
+
+    monkeypatch.setattr(CondensedJacobian, "factorise", counted)
+    with threadpool_limits(2, "blas"):
+        made(nv.Checkpoints(tmp_path / "run.h5", every=1)).run(0.02)
+        of_steps = len(numbers)
+        made().restore(tmp_path / "run.h5")  # which repeats the last factorisation
+    assert of_steps >= 1
+    assert numbers == (of_steps + 1) * [{1}]
 
 
 @pytest.mark.parametrize("parts", (1, 2, 3, 9))

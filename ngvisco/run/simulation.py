@@ -179,6 +179,7 @@ class Simulation(RunState):
         time = f"t = {self.t:g} s, step {self.step_number}, {steps}"
         return simulation_html(self.rothe_step, time) + self.ledger._repr_html_()
 
+    @computing()
     @ending_all_ranks()
     def restore(
         self, path: AnyPath, step: int | None = None, attributes: Mapping[str, str] | None = None
