@@ -246,10 +246,13 @@ MUTANTS = [
             "return [reduce(add, heat) * self.chi(u, w)] if heat else []",
             "tests/forms/test_heat.py::test_the_dissipation_of_a_user_s_term_becomes_heat_or_is_refused",
         ),
+    ),
+    *_of(
+        "forms/terms/fluxes.py",
         (
             "heat through walls",
-            "indicator * (flux + coefficient * (temperature - self.theta(u)))",
-            "indicator * (flux - coefficient * (temperature - self.theta(u)))",
+            "indicator * (flux + coefficient * (outside - potential))",
+            "indicator * (flux - coefficient * (outside - potential))",
             "tests/forms/test_heat.py::test_heat_from_sources_and_walls_is_counted_in_the_energy",
         ),
     ),

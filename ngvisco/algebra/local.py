@@ -114,9 +114,7 @@ class LocalMatrix:
     @property
     def is_constant(self) -> bool:
         """Whether in each cell all rows are equal."""
-        if self.shape is None or self.nodal.shape[2] != 1:
-            return False
-        return bool((self.shape == 1.0).all())
+        return self.shape is not None and self.nodal.shape[2] == 1 and bool((self.shape == 1.0).all())
 
     @property
     def blocks(self) -> np.ndarray:
@@ -125,17 +123,11 @@ class LocalMatrix:
 
     def from_nodes(self, values: np.ndarray) -> np.ndarray:
         """Interpolate ``values``, (..., nodes of a cell), to all rows of a cell."""
-        if (shape := self.shape) is None:
-            return values
-        product = values.reshape(-1, len(shape)) @ shape.astype(values.dtype, copy=False)
-        return product.reshape(*values.shape[:-1], values.shape[-1] // len(shape) * shape.shape[1])
+        return values if self.shape is None else _mapped(values, self.shape)
 
     def to_nodes(self, values: np.ndarray) -> np.ndarray:
         """Apply the transpose of ``from_nodes`` to ``values``, (..., rows of a cell)."""
-        if (shape := self.shape) is None:
-            return values
-        product = values.reshape(-1, shape.shape[1]) @ shape.T.astype(values.dtype, copy=False)
-        return product.reshape(*values.shape[:-1], values.shape[-1] // shape.shape[1] * len(shape))
+        return values if self.shape is None else _mapped(values, self.shape.T)
 
     @property
     def matrix(self) -> sp.csr_matrix:
@@ -214,6 +206,12 @@ class LocalMatrix:
         """Apply the transpose of ``by_cells``, (cells, n, nodes of a cell) -> (width, n)."""
         local = np.matmul(self.nodal, values.swapaxes(1, 2))
         return self.scatter @ local.reshape(self.unknowns.size, values.shape[1])
+
+
+def _mapped(values: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    """Each run of len(matrix) values along the last axis times the matrix."""
+    product = values.reshape(-1, len(matrix)) @ matrix.astype(values.dtype, copy=False)
+    return product.reshape(*values.shape[:-1], values.shape[-1] // len(matrix) * matrix.shape[1])
 
 
 def integrals(left: Functions, right: Functions, weights: np.ndarray) -> np.ndarray:

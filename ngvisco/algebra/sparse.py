@@ -14,9 +14,7 @@ _AT_ONCE = 1 << 16
 
 def apply(matrix: sp.csr_matrix, rows: np.ndarray) -> np.ndarray:
     """Apply a matrix to each row, (..., width) -> (..., height); twice as fast as a product with columns."""
-    if rows.ndim == 1:
-        return matrix @ rows
-    return np.stack([apply(matrix, row) for row in rows])
+    return matrix @ rows if rows.ndim == 1 else np.stack([apply(matrix, row) for row in rows])
 
 
 def largest(values: np.ndarray) -> float:

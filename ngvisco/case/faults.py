@@ -292,6 +292,5 @@ _ALIASES = {
 
 def _aliased(names: list[str]) -> list[str]:
     """The names in a parameter's name, with the key of ``_ALIASES`` in place of the first ones."""
-    lengths = (length for length in (2, 1) if ".".join(names[:length]) in _ALIASES)
-    length = next(lengths, 0)
+    length = next((length for length in (2, 1) if ".".join(names[:length]) in _ALIASES), 0)
     return [*_ALIASES.get(".".join(names[:length]), ()), *names[length:]]

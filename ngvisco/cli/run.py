@@ -140,9 +140,8 @@ def _end_with_stdin(options: argparse.Namespace) -> None:
 
 
 def _terminal(options: argparse.Namespace, until: float) -> list[Observer]:
-    if options.quiet:
-        return []
-    return [ProgressBar(until) if sys.stdout.isatty() else Progress(until)]
+    shown = ProgressBar if sys.stdout.isatty() else Progress
+    return [] if options.quiet else [shown(until)]
 
 
 def _close(directory: Path, result: Simulation, stop: StopOnSignal) -> int:

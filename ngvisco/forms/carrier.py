@@ -117,6 +117,4 @@ class Carrier:
         solution.vec.data += form.harmonic_extension * solution.vec
         solution.vec.data += form.inner_solve * rhs
         values: np.ndarray = solution.components[0].vec.FV().NumPy().copy()
-        if not np.isfinite(values).all():
-            return old.copy(), False
-        return values, is_solved
+        return (values, is_solved) if np.isfinite(values).all() else (old.copy(), False)

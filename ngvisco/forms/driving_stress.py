@@ -155,9 +155,8 @@ class LinearisationStress:
     def linearise(self) -> bool:
         """Compute the slopes at the present stresses; return whether any has changed."""
         at, before = self._at, self._slopes
-        if at is self._frozen or not self:
+        if at is None or at is self._frozen or not self:
             return False
-        assert at is not None
         _, rules = self._driven(at.z, at.zeta)
         self._frozen = at
         self._slopes = np.stack([slope_of(rule, M) for rule, M in zip(rules, at.stress, strict=True)])

@@ -1,13 +1,13 @@
 """Values of a material's variables by name, from given data at the start or at an inflow."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Self, TypeAlias
 
 from ngsolve import CF, L2, CoefficientFunction, Id, Mesh, exp
 from ngsolve.fem import NewtonCF
 
-from ngvisco.errors import InitialDataError, ParameterError, UnknownNameError, as_number
+from ngvisco.errors import InitialDataError, ParameterError, as_number, require_known
 from ngvisco.physics.bodies import AMOUNT
 from ngvisco.physics.loads import as_tensor
 from ngvisco.physics.material import (
@@ -92,10 +92,7 @@ def given_values(
         for v in material.variables
         if not isinstance(v, DamageSlope)
     }
-    for name in given:
-        if name not in (*shapes, *further):
-            field = f"{owner}.values[{name!r}]"
-            raise UnknownNameError("material variable", name, [*shapes, *further], field)
+    require_known("material variable", given, (*shapes, *further), table=f"{owner}.values")
     return {
         name: as_shape(f"{owner}.values[{name!r}]", given[name], shape)
         for name, shape in shapes.items()
@@ -234,7 +231,9 @@ def entering(wall: Passage, owner: str, model: Model, mesh: Mesh) -> Entering:
             expected = "no density with bodies, since the density is the sum of rho_i n_i"
             raise ParameterError(f"{owner}.density", wall.density, expected)
         if wall.amounts:
-            amounts = _entering_amounts(wall, owner, [body.name for body in model.bodies])
+            names = [body.name for body in model.bodies]
+            require_known(f"body in {owner}.amounts", wall.amounts, names, table=f"{owner}.amounts")
+            amounts = {n: as_shape(f"{owner}.amounts[{n!r}]", wall.amounts.get(n, 0.0), ()) for n in names}
             plastic = {K.name: CF(0.0) for K in material.plastic_contents.values()}
             given = material.filled(amounts, Id(3)) | plastic | given
     elif wall.amounts:
@@ -259,14 +258,6 @@ def entering(wall: Passage, owner: str, model: Model, mesh: Mesh) -> Entering:
         starting = starting_values(material, given | z, Id(3), owner=owner)
         density = CF(value_at(material.referential_density, starting)) / volume_ratio(material, starting)
     return Entering(z, density, theta)
-
-
-def _entering_amounts(wall: Passage, owner: str, names: Sequence[str]) -> StartValues:
-    """Amounts n_i of the inflowing bodies."""
-    for name in wall.amounts:
-        if name not in names:
-            raise UnknownNameError(f"body in {owner}.amounts", name, names, f"{owner}.amounts[{name!r}]")
-    return {name: as_shape(f"{owner}.amounts[{name!r}]", wall.amounts.get(name, 0.0), ()) for name in names}
 
 
 def as_shape(field_name: str, value: object, shape: tuple[int, ...]) -> CoefficientFunction:

@@ -122,17 +122,12 @@ class Impulses:
     def _tests(self, v: CoefficientFunction, gradient: CoefficientFunction | None) -> Tests:
         """Tests that are zero for all unknowns but v; if ``gradient`` is None, the gradient of v is zero."""
         layout, dim = self.step.layout, self.step.mesh.dim
-        zeros = self._zeros
+        zeros = {name: ZeroCF(tuple(part.dims)) for name, part in self.step.now.parts.items()}
 
         def gradient_of(name: str) -> CoefficientFunction:
             return gradient if name == "v" and gradient is not None else ZeroCF((*zeros[name].dims, dim))
 
         return Tests(layout, {**zeros, "v": v}, gradient=gradient_of)
-
-    @cached_property
-    def _zeros(self) -> dict[str, CoefficientFunction]:
-        """The zero of each unknown, by its name."""
-        return {name: ZeroCF(tuple(part.dims)) for name, part in self.step.now.parts.items()}
 
     @cached_property
     def _is_held(self) -> np.ndarray:

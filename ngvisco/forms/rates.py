@@ -4,7 +4,7 @@
 constant tensors.  A term reads ``u.context.rates`` and works with either class.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, reduce
 from operator import add
@@ -127,10 +127,15 @@ class Rates:
 
     def mean_creep(self, u: UnknownValues) -> dict[str, CoefficientFunction]:
         """Creep rate Pi, or its mean sum theta_i Pi_i over the bodies, 3x3, 1/s, by the branch's suffix."""
+        pairs = zip(self.mechanisms, self.creep(u), strict=True)
+        return self._summed(mechanism.share(u.z_tensors) * Pi for mechanism, Pi in pairs)
+
+    def _summed(self, values: Iterable[CoefficientFunction]) -> dict[str, CoefficientFunction]:
+        """Sums over the bodies of values of every mechanism, by the branch's suffix."""
         sums: dict[str, CoefficientFunction] = {}
-        for mechanism, Pi in zip(self.mechanisms, self.creep(u), strict=True):
-            part, total = mechanism.share(u.z_tensors) * Pi, sums.get(mechanism.suffix)
-            sums[mechanism.suffix] = part if total is None else total + part
+        for mechanism, value in zip(self.mechanisms, values, strict=True):
+            total = sums.get(mechanism.suffix)
+            sums[mechanism.suffix] = value if total is None else total + value
         return sums
 
     def local_creep(self, mechanism: CreepMechanism, u: UnknownValues) -> CoefficientFunction:
@@ -232,11 +237,7 @@ class Rates:
 
     def dissipation(self, u: UnknownValues) -> dict[str, CoefficientFunction]:
         """Power of creep, W/m^3, without the gradient term, summed over bodies, by the branch's suffix."""
-        sums: dict[str, CoefficientFunction] = {}
-        for mechanism, power in zip(self.mechanisms, self.powers_of_creep(u), strict=True):
-            total = sums.get(mechanism.suffix)
-            sums[mechanism.suffix] = power if total is None else total + power
-        return sums
+        return self._summed(self.powers_of_creep(u))
 
     def powers_of_creep(self, u: UnknownValues) -> list[CoefficientFunction]:
         """Power of creep of every mechanism, W/m^3."""

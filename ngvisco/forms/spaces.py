@@ -225,9 +225,7 @@ class Layout:
     def _space(self, unknown: Unknown) -> FESpace:
         if unknown.place == "velocity":
             return self.velocity_space(self._dirichlet)
-        if unknown.space is not None:
-            return unknown.space(self.mesh)
-        return self._of_place(unknown, unknown.size)
+        return unknown.space(self.mesh) if unknown.space else self._of_place(unknown, unknown.size)
 
     def scalar_space(self, name: str) -> FESpace:
         """Scalar space of every component of an unknown, without constraints."""

@@ -230,16 +230,19 @@ class Communicator:
         return [value] if self.size == 1 else self.mpi.allgather(value)
 
     @contextlib.contextmanager
-    def together(self, *kinds: type[Exception]) -> Iterator[None]:
+    def together(self, *kinds: type[BaseException]) -> Iterator[None]:
         """Context for local work of each rank; an error of these kinds on one rank is raised on all."""
-        error: Exception | None = None
+        if self.size == 1:
+            yield
+            return
+        error: BaseException | None = None
         try:
             yield
         except kinds as raised:
             error = raised
         together = self.agree(error)
         if together is not None:
-            raise together
+            raise together from error
 
     def agree(self, error: BaseException | None) -> BaseException | None:
         """The error of the lowest rank that has one, returned on all ranks; None if no rank has an error."""
@@ -269,14 +272,8 @@ class Communicator:
         """Return the result of the first rank's ``work`` on every rank; its error is raised on every rank."""
         if self.size == 1:
             return work()
-        result, error = None, None
-        try:
+        with self.together(BaseException):
             result = work() if self.is_first else None
-        except BaseException as raised:
-            error = raised
-        together = self.agree(error)
-        if together is not None:
-            raise together from error
         return self.mpi.bcast(result)
 
     def warn(self, message: str, category: type[Warning], stacklevel: int = 1) -> None:

@@ -200,9 +200,7 @@ class Halo:
 
     def with_others(self, values: np.ndarray) -> np.ndarray:
         """Values of own cells, (cells, ...), followed by values of the halo cells."""
-        if not len(self.beside):
-            return values
-        return np.concatenate([values, self.swapped(values[self.beside])])
+        return np.concatenate([values, self.swapped(values[self.beside])]) if len(self.beside) else values
 
     def added(self, rows: np.ndarray) -> np.ndarray:
         """Rows of own cells, (cells, ...), from ``rows``, (count, ...), plus other ranks' contributions."""

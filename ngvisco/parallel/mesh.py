@@ -131,9 +131,7 @@ def of_whole(mesh: Mesh, values: np.ndarray) -> np.ndarray:
     if not isinstance(mesh, MeshPart):
         return values
     numbers, parts = mesh.ranks.mpi.gather(mesh.cells), mesh.ranks.mpi.gather(values)
-    if parts is None:
-        return values[:0]
-    return np.concatenate(parts)[np.argsort(np.concatenate(numbers))]
+    return values[:0] if parts is None else np.concatenate(parts)[np.argsort(np.concatenate(numbers))]
 
 
 def number_of(mesh: Mesh, cell: int) -> int | None:

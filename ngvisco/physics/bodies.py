@@ -18,8 +18,8 @@ from ngsolve import CoefficientFunction, Det
 from ngvisco.errors import ParameterError, Quantity, as_number, require_fields
 from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.heat import Heat
-from ngvisco.physics.material import Material, part_of
-from ngvisco.physics.materials.network import Network
+from ngvisco.physics.material import Material
+from ngvisco.physics.materials.network import rules_of
 from ngvisco.physics.parameters import renamed, told_apart
 from ngvisco.physics.rheology import Viscosity
 from ngvisco.physics.tensors import IDENTITY, Tensor, if_positive, opening, shear_across, sqrt
@@ -343,9 +343,7 @@ class Body:
     def rules(self) -> dict[str | None, FlowRule]:
         """Flow rules of the body by the branches of its network; the key is None for a body without a
         network."""
-        network = part_of(self.material, Network)
-        rules = {None: self.creep} if network is None else {n: b.creep for n, b in network.parts.items()}
-        return {name: rule for name, rule in rules.items() if rule is not None and rule.flows}
+        return {name: rule for name, rule in rules_of(self.material, self.creep).items() if rule.flows}
 
     def with_own_names(self) -> Body:
         """The body, with its name as a prefix of the parameters made of its moduli."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Annotated
 
 from ngvisco.errors import ParameterError, Quantity
-from ngvisco.physics.heat import Function
+from ngvisco.physics.heat import Function, require_together
 from ngvisco.physics.material import Material
 from ngvisco.physics.parameters import Checked
 
@@ -33,10 +33,7 @@ class WallExchange(Checked):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if (self.potential is None) != (self.coefficient is None):
-            missing = "potential" if self.potential is None else "coefficient"
-            expected = "a value, since potential and coefficient have to be given together"
-            raise ParameterError(f"WallExchange.{missing}", None, expected)
+        require_together(self, "potential", "coefficient")
         if self.potential is None and self.flux is None:
             raise ParameterError("WallExchange.flux", None, "a flux, or a potential and a coefficient")
 

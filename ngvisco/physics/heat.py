@@ -25,6 +25,14 @@ Function: TypeAlias = float | CoefficientFunction
 Conductivity: TypeAlias = float | Callable[[Any], Any] | Sequence[Sequence[float]]
 
 
+def require_together(law: object, *names: str) -> None:
+    """Raise ParameterError if some, but not all, of a law's fields ``names`` are None."""
+    missing = [name for name in names if getattr(law, name) is None]
+    if 0 < len(missing) < len(names):
+        expected = f"a value, since {' and '.join(names)} have to be given together"
+        raise ParameterError(f"{type(law).__name__}.{missing[0]}", None, expected)
+
+
 @dataclass(frozen=True, kw_only=True)
 class WallHeat(Checked):
     """The heat flux into the body through a wall: flux + coefficient (temperature - theta) (Robin, Newton's
@@ -55,10 +63,7 @@ class WallHeat(Checked):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if (self.temperature is None) != (self.coefficient is None):
-            missing = "temperature" if self.temperature is None else "coefficient"
-            expected = "a value, since temperature and coefficient have to be given together"
-            raise ParameterError(f"WallHeat.{missing}", None, expected)
+        require_together(self, "temperature", "coefficient")
         if self.temperature is None and self.flux is None and self.friction_share == 1:
             expected = "a flux, or a temperature together with a coefficient, or a share of the friction"
             raise ParameterError("WallHeat.flux", None, expected)

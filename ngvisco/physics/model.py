@@ -17,7 +17,7 @@ from ngvisco.physics.heat import Heat, HeatLaw
 from ngvisco.physics.loads import Load, check_name
 from ngvisco.physics.material import ElasticState, Material, check_material, part_of
 from ngvisco.physics.materials.damaged import Damaged, DamageVariable
-from ngvisco.physics.materials.network import Network
+from ngvisco.physics.materials.network import Network, rules_of
 from ngvisco.physics.materials.thermal import NO_TEMPERATURE, Thermal, entropy_in, warming
 from ngvisco.physics.materials.wrapped import carrying
 from ngvisco.physics.mixed_viscosity import MixedViscosity, mixed_viscosity
@@ -123,8 +123,6 @@ class Model:
     def __post_init__(self) -> None:
         self._take_bodies()
         require_fields(self)
-        for load in self.loads:
-            check_name(load)
         _require_names_of_loads(self.loads)
         check_material(self.material)
         names = ("material", "viscosity", "hyperviscosity", "creep")
@@ -205,10 +203,9 @@ class Model:
             )
         if not isinstance(material, Mixture):
             names = tuple(v.name for v in material.variables if v.creeps)
-            mechanism = (
-                CreepMechanism(self.creep, names, material.conformation) if self.creep is not None else None
-            )
-            return (mechanism,) if mechanism is not None and mechanism.rule.flows else ()
+            if self.creep is None or not self.creep.flows:
+                return ()
+            return (CreepMechanism(self.creep, names, material.conformation),)
         rules = [
             (body, branch, rule, material.contents_of(body.name, branch))
             for body in self.bodies
@@ -232,12 +229,10 @@ class Model:
     @property
     def _hardening(self) -> tuple[tuple[PlasticContent, Hardening], ...]:
         """Pairs of plastic content and hardening of the material or of its branches."""
-        network = part_of(self.material, Network)
-        rules = {None: self.creep} if network is None else {n: b.creep for n, b in network.parts.items()}
         return tuple(
             (PLASTIC_CONTENT if name is None else PlasticContent.of(name), rule.hardening)
-            for name, rule in rules.items()
-            if rule is not None and rule.hardening is not None
+            for name, rule in rules_of(self.material, self.creep).items()
+            if rule.hardening is not None
         )
 
     @property
@@ -394,9 +389,10 @@ def _require_bulk(material: Material) -> None:
 
 
 def _require_names_of_loads(loads: Sequence[Any]) -> None:
-    """Raise ParameterError for a load with the name of an earlier one."""
-    for i, name in enumerate(names := [load.name for load in loads]):
-        if name in names[:i]:
+    """Raise ParameterError for a load with an invalid name, or with the name of an earlier load."""
+    for i, load in enumerate(loads):
+        check_name(load)
+        if (name := load.name) in [earlier.name for earlier in loads[:i]]:
             expected = (
                 f"a name that no other load has, since the ledger has a column power_{name} for each load"
             )

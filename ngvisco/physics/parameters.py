@@ -367,9 +367,9 @@ def substituted(law: T, value_of: Callable[[ParameterExpression], Any]) -> T:
             return type(part)((name, within(element)) for name, element in part.items())
         return substituted(part, value_of)
 
-    if not _is_law(law):
+    if not dataclasses.is_dataclass(law) or isinstance(law, (type, Variable)):
         return law
-    fields = {field.name: getattr(law, field.name) for field in dataclasses.fields(law)}  # type: ignore[arg-type]
+    fields = {field.name: getattr(law, field.name) for field in dataclasses.fields(law)}
     replaced = {name: within(part) for name, part in fields.items()}
     changes = {name: part for name, part in replaced.items() if part is not fields[name]}
     if not changes:
@@ -425,11 +425,6 @@ def moduli_in(value: object) -> Iterator[tuple[str, ParameterExpression, bool]]:
     for expression in expressions_in(value):
         if isinstance(expression, _Modulus):
             yield expression.name, expression.expression, expression.is_positive
-
-
-def _is_law(value: object) -> bool:
-    """Whether ``value`` is a part of a model that may hold moduli."""
-    return dataclasses.is_dataclass(value) and not isinstance(value, (type, Variable))
 
 
 def _is_scalar_function(value: object) -> bool:

@@ -20,7 +20,7 @@ from xml.etree import ElementTree
 import numpy as np
 from ngsolve import CF, ET, VOL, CoefficientFunction, IntegrationRule, Mesh, x, y, z
 
-from ngvisco.errors import CheckpointError, ParameterError, UnknownNameError
+from ngvisco.errors import CheckpointError, ParameterError, require_known
 from ngvisco.shapes.fractions import subdivision
 
 COMPONENTS = {3: list("123"), 9: [f"{i}{j}" for i in "123" for j in "123"]}
@@ -75,8 +75,7 @@ class Frame:
             for whole, values in self.fields.items()
             for i, label in enumerate(COMPONENTS.get(values.shape[1], ()))
         }
-        if name not in parts:
-            raise UnknownNameError("field", name, [*self.fields, *parts], "fields")
+        require_known("field", [name], (*self.fields, *parts), "fields")
         return parts[name]
 
     def fractions(self) -> list[np.ndarray]:

@@ -86,9 +86,7 @@ class Inlets:
             self._integrands[name] = self._squares(name)
         integrate = self._step.quadrature.integrate_facets
         difference, size, inflow = (integrate(integrand) for integrand in self._integrands[name])
-        if not inflow > 0:
-            return 0.0, 0.0
-        return (difference / inflow) ** 0.5, (size / inflow) ** 0.5
+        return ((difference / inflow) ** 0.5, (size / inflow) ** 0.5) if inflow > 0 else (0.0, 0.0)
 
     def resume(self, rows: Sequence[Mapping[str, float]]) -> None:
         """Continue after the ``rows`` of a ledger."""

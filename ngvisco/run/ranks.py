@@ -153,18 +153,9 @@ def _of_cells(space: FESpace, cells: Iterable[int]) -> np.ndarray:
 
 def tell(ranks: Communicator, observer: object, method: Callable[..., None], *arguments: object) -> None:
     """Call an observer's method; all ranks raise an error of one rank."""
-    if not ranks.is_distributed:
-        method(*arguments)
-        return
-    failure: BaseException | None = None
-    try:
+    with ranks.together(BaseException):
         if ranks.is_first or not getattr(observer, "on_first_rank", False):
             method(*arguments)
-    except BaseException as error:
-        failure = error
-    together = ranks.agree(failure)
-    if together is not None:
-        raise together from failure
 
 
 @contextlib.contextmanager

@@ -375,12 +375,10 @@ class _Search:
         p, cost = best.at, 0.5 * float(np.sum(self._residuals(best) ** 2))
         J = best.jacobian / np.concatenate(list(self.sigma.values()))[:, None]
         reduced = 2 * cost / max(len(self.of) - len(p), 1)
+        scale = (reduced or 1.0) if self.is_estimated else 1.0
         if self.is_estimated:  # scales by the estimated deviation
             self.sigma = {name: values * np.sqrt(reduced) for name, values in self.sigma.items()}
-            J, scale = J / np.sqrt(reduced or 1.0), reduced or 1.0
-        else:
-            scale = 1.0
-        covariance = _covariance(J)
+        covariance = _covariance(J / np.sqrt(scale))
         deviations = np.sqrt(np.diag(covariance))
         with np.errstate(invalid="ignore"):
             correlation = covariance / np.outer(deviations, deviations)
@@ -415,10 +413,8 @@ def _name(run: int) -> str:
 def _covariance(J: np.ndarray) -> np.ndarray:
     """Covariance (J^T J)^-1, infinite if the data do not determine all parameters."""
     lengths = np.linalg.norm(J, axis=0)
-    if not lengths.all():
-        return np.full((J.shape[1], J.shape[1]), np.inf)
-    _, sizes, V = np.linalg.svd(J / lengths, full_matrices=False)
-    if sizes[-1] < _UNDETERMINED * sizes[0]:
+    _, sizes, V = np.linalg.svd(J / np.where(lengths > 0, lengths, 1.0), full_matrices=False)
+    if sizes[-1] <= _UNDETERMINED * sizes[0]:
         return np.full((J.shape[1], J.shape[1]), np.inf)
     return (V.T / sizes**2) @ V / np.outer(lengths, lengths)
 

@@ -191,8 +191,7 @@ def gradient(
     parameters = _parameters(by, simulation, method)
     base, is_start = follower_of(simulation, numbers.columns), simulation.number == 0
     if not is_start and any(parameter.is_of_start for parameter in parameters):
-        expected = "no start values, since the run has begun"
-        raise ParameterError("by", by, expected)
+        raise ParameterError("by", by, "no start values, since the run has begun")
     if method == "adjoint" and simulation.bounds.sharpening is not None:
         expected = "'tangent' for a run with Discretisation.sharp, whose planes have no transposed derivative"
         raise ParameterError("method", method, expected)

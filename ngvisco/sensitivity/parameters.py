@@ -38,13 +38,10 @@ OFFSETS = {4: (-2.0, -1.0, 1.0, 2.0), 2: (-0.1, 0.1)}
 
 def differenced(values: Sequence[np.ndarray], h: float) -> np.ndarray:
     """Derivative by p, from values at p + o h for the four or two ``OFFSETS`` o."""
-    result: np.ndarray
     if len(values) == 2:
-        result = (values[1] - values[0]) / ((OFFSETS[2][1] - OFFSETS[2][0]) * h)
-        return result
+        return np.asarray((values[1] - values[0]) / ((OFFSETS[2][1] - OFFSETS[2][0]) * h))
     far_below, below, above, far_above = values
-    result = (8 * (above - below) - (far_above - far_below)) / (12 * h)
-    return result
+    return np.asarray((8 * (above - below) - (far_above - far_below)) / (12 * h))
 
 
 @dataclass(frozen=True)

@@ -102,8 +102,7 @@ class Slopes:
         names = set(self.follower.simulation.ledger.momentum.of_steps)
         for term in self.step.terms:
             u, reads_start = self.starts.fields()
-            entries = term.entries(u)
-            names |= {entry.name for entry in entries} if reads_start() else set()
+            names |= {entry.name for entry in term.entries(u) if reads_start()}
         u, reads_start = self.starts.fields()
         output_fields(self.step, u)
         if reads_start():

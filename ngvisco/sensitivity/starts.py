@@ -8,7 +8,7 @@ from typing import cast
 
 import numpy as np
 import scipy.sparse.linalg as spl
-from ngsolve import BilinearForm, Grad, GridFunction, Parameter
+from ngsolve import BaseVector, BilinearForm, Grad, GridFunction, Parameter
 
 from ngvisco.forms.context import AskedContext, Context
 from ngvisco.forms.fields import Fields, Tests
@@ -41,7 +41,6 @@ class Starts:
         self._others, self._state, self._multiplier = (GridFunction(layout.space) for _ in range(3))
         self._other_momentum, self._momentum = (quadrature.vectors(self.step.mesh.dim) for _ in range(2))
         self._at = self.step.state.vec.CreateVector()
-        self._product = self.step.state.vec.CreateVector()
 
     def fields(self) -> tuple[Fields, Callable[[], bool]]:
         """Fields of the present state in a step whose start state y_k is a trial function, and a function
@@ -71,8 +70,7 @@ class Starts:
         parts = dict(zip(layout.names, self._multiplier.components, strict=True))
         for term in self.step.terms:
             u, reads_start = self.fields()
-            of_term = term.form(u, Tests(layout, parts, u.context))
-            integrands += of_term if reads_start() else []
+            integrands += [part for part in term.form(u, Tests(layout, parts, u.context)) if reads_start()]
         return self.variations.of_sum(integrands)
 
     def put(self, weights: np.ndarray, states: Sequence[np.ndarray], number: int) -> None:
@@ -98,20 +96,15 @@ class Starts:
         Before the call the step has to be set up for the stage, with the stage's solution as the present
         state.
         """
-        result = np.zeros_like(rows)
-        for product, weights in zip(result, rows, strict=True):
-            self._multiplier.vec.FV().NumPy()[:] = weights
-            product[:] = self._slope()
-        return np.where(self.evolving, result, 0.0)
+        return self._products(self._multiplier.vec, self._slope, rows)
 
-    def _products(self, form: BilinearForm, rows: np.ndarray) -> np.ndarray:
-        """Products of the form's transposed matrix with each of ``rows``; zero for unknowns of the start that
-        a step does not read."""
+    def _products(self, at: BaseVector, product: Slope, rows: np.ndarray) -> np.ndarray:
+        """Values of ``product`` with each of ``rows`` in the vector ``at``; zero for unknowns of the start
+        that a step does not read."""
         result = np.zeros_like(rows)
-        for product, weights in zip(result, rows, strict=True):
-            self._at.FV().NumPy()[:] = weights
-            self._product.data = form.mat.T * self._at
-            product[:] = self._product.FV().NumPy()
+        for values, weights in zip(result, rows, strict=True):
+            at.FV().NumPy()[:] = weights
+            values[:] = product()
         return np.where(self.evolving, result, 0.0)
 
     def momentum_transposed(self, state: np.ndarray, rows: np.ndarray) -> np.ndarray:
@@ -120,7 +113,7 @@ class Starts:
         form = self.follower.momentum
         self._at.FV().NumPy()[:] = state
         form.AssembleLinearization(self._at)
-        return self._products(form, rows)
+        return self._products(self._at, lambda: (form.mat.T * self._at).Evaluate().FV().NumPy(), rows)
 
     @cached_property
     def _functions(self) -> tuple[BilinearForm, np.ndarray]:

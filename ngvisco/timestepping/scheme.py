@@ -28,7 +28,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ngvisco.errors import ParameterError, UnknownNameError, as_number, as_numbers, require_collection
+from ngvisco.errors import ParameterError, as_number, as_numbers, require_collection, require_known
 
 _ROUNDING = 1e-12
 
@@ -198,8 +198,7 @@ def scheme_of(scheme: str | TimeScheme, theta: float | None = None) -> TimeSchem
     """
     if not isinstance(scheme, str | TimeScheme):
         raise ParameterError("scheme", scheme, f"one of {', '.join(SCHEMES)}, or a TimeScheme")
-    if isinstance(scheme, str) and scheme not in SCHEMES:
-        raise UnknownNameError("time scheme", scheme, SCHEMES)
+    require_known("time scheme", [scheme] if isinstance(scheme, str) else [], SCHEMES)
     if scheme == "theta":
         if theta is None:
             raise ParameterError("theta", theta, "a number in [1/2, 1] for the scheme 'theta'")

@@ -31,7 +31,7 @@ from ngsolve import (
     z,
 )
 
-from ngvisco.errors import MeshError, UnknownNameError
+from ngvisco.errors import MeshError, require_known
 from ngvisco.forms.mesh.mesh_arrays import (
     VERTICES,
     boundary_facets,
@@ -53,10 +53,7 @@ _CURVED = 0.5  # largest ratio of the facets' angle to their chords' angle; 1 if
 
 def check_boundary_names(mesh: Mesh, names: Iterable[str], owner: str = "walls") -> None:
     """Raise UnknownNameError for a name that no boundary of the mesh has; NGSolve stays silent."""
-    walls_of_mesh = set(mesh.GetBoundaries())
-    for name in names:
-        if name not in walls_of_mesh:
-            raise UnknownNameError("boundary", name, walls_of_mesh, f"{owner}[{name!r}]")
+    require_known("boundary", names, set(mesh.GetBoundaries()), table=owner)
 
 
 def axis_parallel_walls(mesh: Mesh) -> tuple[list[list[str]], list[str]]:

@@ -63,8 +63,7 @@ def mask_of(bits: BitArray) -> np.ndarray:
 
 
 def _cells(mesh: Mesh) -> np.ndarray:
-    elements = mesh.ngmesh.Elements2D() if mesh.dim == 2 else mesh.ngmesh.Elements3D()
-    return elements.NumPy()
+    return (mesh.ngmesh.Elements2D() if mesh.dim == 2 else mesh.ngmesh.Elements3D()).NumPy()
 
 
 def is_simplicial(mesh: Mesh) -> bool:

@@ -115,11 +115,8 @@ class Quadrature:
 
     def collocated(self, integrand: CoefficientFunction, cells: BitArray | None = None) -> Any:
         """The integral over all cells, or over ``cells``, with the nodal rule, for a form."""
-        return self._in_cells(integrand) * dx(intrules=self._collocation_rules, definedonelements=cells)
-
-    @cached_property
-    def _collocation_rules(self) -> dict[Any, IntegrationRule]:
-        return rules(self.mesh.dim, 2 * self.collocation_order)
+        collocation_rules = rules(self.mesh.dim, 2 * self.collocation_order)
+        return self._in_cells(integrand) * dx(intrules=collocation_rules, definedonelements=cells)
 
     def facets(self, integrand: CoefficientFunction, cells: BitArray | None = None) -> Any:
         """The integral over the boundary of every cell (both sides of each inner facet), or of ``cells``."""

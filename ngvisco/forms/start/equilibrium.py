@@ -158,7 +158,8 @@ class Column:
         """
         at, rest_pressure = self._at(datum), self._mean(lambda name: self.pressure_of(name, CF(1.0), True))
         for _ in range(_ROUNDS):
-            self._bear(self.weight())
+            weight = self._weighed(self.weight() * grad(self.space.TestFunction()))
+            self.p.vec.data = self._inverse * LinearForm(weight * dx).Assemble().vec
             self.constant.Set(above_rest + at(rest_pressure) - at(self.p))
             if not (changed := [name for name in self.laws if not self._inverts(name)]):
                 break
@@ -177,11 +178,6 @@ class Column:
         return (
             sum((share * value(n) for n, share in self.shares.items()), CF(0.0)) if self.shares else value("")
         )
-
-    def _bear(self, force: CoefficientFunction) -> None:
-        """Solve for the pressure p that bears a force, up to a constant."""
-        load = LinearForm(self._weighed(force * grad(self.space.TestFunction())) * dx).Assemble()
-        self.p.vec.data = self._inverse * load.vec
 
     def _solved(self) -> BitArray:
         """The unknowns of p that are solved for: all free ones but one, which is 0."""

@@ -2,13 +2,13 @@
 
 from collections.abc import Sequence
 
-from ngsolve import CF, CoefficientFunction
+from ngsolve import CoefficientFunction
 
-from ngvisco.forms.boundary.boundaries import check_boundary_names, facet_indicator
+from ngvisco.forms.boundary.boundaries import check_boundary_names
 from ngvisco.forms.boundary.walls import Walls
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import Entry, Integrand, PointTerm, Term
-from ngvisco.forms.terms.fluxes import Flux, component
+from ngvisco.forms.terms.fluxes import Flux, WallFlux, component
 from ngvisco.physics.diffusion import Diffusion, WallExchange
 from ngvisco.physics.model import Model
 from ngvisco.physics.tensors import inner
@@ -55,23 +55,16 @@ class ThroughWall(PointTerm):
 
     def __init__(self, walls: Walls, variable: str, name: str, exchange: WallExchange) -> None:
         self.name, self.variable = name, variable
-        given = (exchange.potential, exchange.coefficient, exchange.flux)
-        self._given = [CF(0.0 if value is None else value) for value in given]
-        self._indicator = facet_indicator(walls.mesh, [name])
-
-    def _inwards(self, u: Fields) -> CoefficientFunction:
-        """Inflow h on the wall, zero elsewhere."""
-        indicator, *values = map(u.context.given, (self._indicator, *self._given))
-        potential, coefficient, flux = values
-        return indicator * (flux + coefficient * (potential - u.zeta_tensors[self.variable]))
+        self._inwards = WallFlux(walls.mesh, name, exchange.potential, exchange.coefficient, exchange.flux)
 
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
-        return [-(self._inwards(u) * w.z_tensors[self.variable])]
+        return [-(self._inwards.at(u, u.zeta_tensors[self.variable]) * w.z_tensors[self.variable])]
 
     def entries(self, u: Fields) -> list[Entry]:
         """Power and amount of the matter that diffuses in through the wall."""
-        name, inwards = f"{self.variable}_{self.name}", self._inwards(u)
-        power = Integrand(facets=inwards * u.zeta_tensors[self.variable])
+        name, potential = f"{self.variable}_{self.name}", u.zeta_tensors[self.variable]
+        inwards = self._inwards.at(u, potential)
+        power = Integrand(facets=inwards * potential)
         exchanged = Entry(f"exchange_{name}", "monitor", Integrand(facets=inwards))
         return [Entry(f"power_exchange_{name}", "power", power), exchanged]
 

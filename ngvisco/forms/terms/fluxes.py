@@ -16,13 +16,15 @@ from abc import abstractmethod
 from collections.abc import Sequence
 
 import numpy as np
-from ngsolve import CoefficientFunction
+from ngsolve import CF, CoefficientFunction, Mesh
 
 from ngvisco.errors import ParameterError
+from ngvisco.forms.boundary.boundaries import facet_indicator
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import PointTerm, Term
 from ngvisco.forms.unknown import Setting, Unknown
 from ngvisco.forms.upwinding import FacetMean
+from ngvisco.physics.heat import Function
 from ngvisco.physics.tensors import inner, linear_map
 
 
@@ -36,6 +38,23 @@ def component(u: Fields, name: str, value: CoefficientFunction) -> CoefficientFu
     row = np.zeros((u.layout.states.size, 1))
     row[u.layout.states.slices[name]] = 1.0
     return linear_map(np.kron(row.T, np.eye(u.dim)), value, (u.dim,))
+
+
+class WallFlux:
+    """The flux into the body through one wall, flux + coefficient (outside - potential); zero elsewhere."""
+
+    def __init__(self, mesh: Mesh, wall: str, *given: Function | None) -> None:
+        """``given`` are the value of ``outside``, the coefficient and the flux; None is zero."""
+        self._given = facet_indicator(mesh, [wall]), *(CF(0.0 if f is None else f) for f in given)
+
+    def values(self, u: Fields) -> Sequence[CoefficientFunction]:
+        """The wall's indicator, outside, coefficient and flux, as a step reads them."""
+        return [u.context.given(value) for value in self._given]
+
+    def at(self, u: Fields, potential: CoefficientFunction) -> CoefficientFunction:
+        """The flux at a potential of the body."""
+        indicator, outside, coefficient, flux = self.values(u)
+        return indicator * (flux + coefficient * (outside - potential))
 
 
 class Flux(PointTerm):

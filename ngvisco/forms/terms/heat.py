@@ -18,11 +18,10 @@ from operator import add
 from ngsolve import CF, CoefficientFunction
 
 from ngvisco.errors import ParameterError
-from ngvisco.forms.boundary.boundaries import facet_indicator
 from ngvisco.forms.boundary.walls import Walls
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import PLACES, PRODUCTION, Entry, Integrand, PointRule, PointTerm, Term, dissipations
-from ngvisco.forms.terms.fluxes import Flux, component
+from ngvisco.forms.terms.fluxes import Flux, WallFlux, component
 from ngvisco.physics.heat import HeatLaw, WallHeat
 from ngvisco.physics.materials.thermal import NO_TEMPERATURE, Entropy, entropy_in
 from ngvisco.physics.model import Model
@@ -155,22 +154,13 @@ class HeatThroughWall(_OfEntropy):
     def __init__(self, law: HeatLaw, entropy: Entropy, walls: Walls, name: str, heat: WallHeat) -> None:
         super().__init__(law, entropy)
         self.name = name
-        given = (heat.temperature, heat.coefficient, heat.flux)
-        self._given = [CF(0.0 if value is None else value) for value in given]
-        self._indicator = facet_indicator(walls.mesh, [name])
-
-    def _heat(self, u: Fields) -> CoefficientFunction:
-        """Inflow h on the wall, zero elsewhere."""
-        indicator, *values = map(u.context.given, (self._indicator, *self._given))
-        temperature, coefficient, flux = values
-        return indicator * (flux + coefficient * (temperature - self.theta(u)))
+        self._inwards = WallFlux(walls.mesh, name, heat.temperature, heat.coefficient, heat.flux)
 
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
-        return [-(self._heat(u) * self.chi(u, w))]
+        return [-(self._inwards.at(u, self.theta(u)) * self.chi(u, w))]
 
     def entries(self, u: Fields) -> list[Entry]:
-        heat = self._heat(u)
-        indicator, coefficient = (u.context.given(value) for value in (self._indicator, self._given[1]))
+        heat, (indicator, _, coefficient, _) = self._inwards.at(u, self.theta(u)), self._inwards.values(u)
         outwards = Integrand(facets=indicator * coefficient * self.theta(u))
         supply = Entry(f"entropy_supply_{self.name}", "production", Integrand(facets=heat / self.theta(u)))
         return [
@@ -214,13 +204,12 @@ class Conduction(_OfEntropy, Flux):
 def heat_terms(model: Model, walls: Walls) -> list[Term]:
     """The terms of heat, for a model whose material has a temperature."""
     entropy = entropy_in(model.material)
+    heats = [(name, wall.heat) for name, wall in walls.conditions.items() if wall.heat is not None]
     if entropy is None:
-        for name, wall in walls.conditions.items():
-            if wall.heat is not None:
-                raise ParameterError(f"walls[{name!r}].heat", wall.heat, NO_TEMPERATURE)
+        for name, heat in heats:
+            raise ParameterError(f"walls[{name!r}].heat", heat, NO_TEMPERATURE)
         return []
     law = model.heat_law
-    heats = ((name, wall.heat) for name, wall in walls.conditions.items() if wall.heat is not None)
     at_walls = (HeatThroughWall(law, entropy, walls, name, heat) for name, heat in heats)
     heating = Heating(law, entropy, walls)
     if model.regularisation is not None and model.regularisation.delta_fields > 0:

@@ -40,9 +40,7 @@ class _Driven(GradientRule):
 
     def along(self, M: Tensor, zeta: Tensor | None) -> Tensor:
         """The direction of the rate, M or 2 zeta, Pa."""
-        if zeta is None or self.law == "mandel":
-            return M
-        return 2 * zeta
+        return M if zeta is None or self.law == "mandel" else 2 * zeta
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -263,9 +261,7 @@ class Perzyna(_Driven):
 
     @property
     def hardening(self) -> Hardening | None:
-        if self.H == 0 and self.Q == 0:
-            return None
-        return Hardening(H=self.H, Q=self.Q, b=float(self.b))
+        return None if self.H == self.Q == 0 else Hardening(H=self.H, Q=self.Q, b=float(self.b))
 
     @property
     def reads(self) -> frozenset[str]:  # type: ignore[override]

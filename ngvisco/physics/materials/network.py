@@ -170,12 +170,13 @@ class Network(Material):
     def continued(self) -> frozenset[str]:
         names: set[str] = set()
         for name, branch in self.parts.items():
-            new_names = {v.name: new.name for v, new in self._renamed(name)}
+            own = self.own(name)
+            new_names = {v.name: own[v.name].name for v in branch.material.variables if v.name in own}
             names |= {new_names[name] for name in branch.material.continued if name in new_names}
         # a shared variable is continued only if all branches that have it continue their energies
         for shared in {v.name for b in self.parts.values() for v in b.material.variables if not v.creeps}:
-            with_it = [b.material for b in self.parts.values() if _carries(b.material, shared)]
-            if all(shared in material.continued for material in with_it):
+            materials = (b.material for b in self.parts.values())
+            if all(shared in m.continued for m in materials if shared in {v.name for v in m.variables}):
                 names.add(shared)
         return frozenset(names)
 
@@ -202,10 +203,6 @@ class Network(Material):
 
     def energy(self, z: Values) -> Tensor:
         return reduce(add, (self.energy_of(name, z) for name in self.branches))
-
-    def _renamed(self, name: str) -> Iterator[tuple[Variable, Variable]]:
-        tensors = self.own(name)
-        return ((v, tensors[v.name]) for v in self.parts[name].material.variables if v.name in tensors)
 
     def _check_names(self) -> None:
         """Raise ParameterError if two variables of the branches have one name."""
@@ -245,8 +242,12 @@ class Branches(Material):
         return reduce(add, (self.network.energy_of(name, z) for name in self.names))
 
 
-def _carries(material: Material, name: str) -> bool:
-    return any(v.name == name for v in material.variables)
+def rules_of(material: Material, creep: FlowRule | None) -> dict[str | None, FlowRule]:
+    """Flow rules of a material's branches by name, or, by None, the rule ``creep`` of a material without
+    branches."""
+    network = part_of(material, Network)
+    rules = {None: creep} if network is None else {n: b.creep for n, b in network.parts.items()}
+    return {name: rule for name, rule in rules.items() if rule is not None}
 
 
 def _faults(branch: Branch) -> Iterator[tuple[str, str]]:

@@ -170,11 +170,9 @@ class Ogden(ContinuedInJ):
             A = z[variable.name]
             both = zip(self.mu, self.alpha, strict=True)
             weights = {abs(alpha) / 2: mu / alpha for mu, alpha in both if alpha * sign > 0}
-            if self.elastic_state == "B":
-                invariants = (tr(A), tr(cof(A)), det(A))
-            else:
-                invariants = (square(A), square(cof(A)), det(A) * det(A))
-            phi = phi + powers_of_stretches(invariants, weights) - 3 * sum(weights.values())
+            measure, J = (tr, det(A)) if self.elastic_state == "B" else (square, det(A) * det(A))
+            powers = powers_of_stretches((measure(A), measure(cof(A)), J), weights)
+            phi = phi + powers - 3 * sum(weights.values())
         return phi
 
     @property

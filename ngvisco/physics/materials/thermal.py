@@ -224,7 +224,8 @@ class Thermal(Material):
         unit = self.entropy.unit / self.c
         if self.coupling and self.isothermal_material.lagged:
             degraded, clamped = self.taken(z)
-            return heat * A * expm1(unit * z["s"] * J) - clamped + self._degradation(z) * degraded
+            damaged: Any = self.isothermal_material
+            return heat * A * expm1(unit * z["s"] * J) - clamped + damaged.degradation(z["damage"]) * degraded
         phi = heat * A * expm1(unit * z["s"] * J - self.g(J))
         if self.coupling and not self.is_absolute:
             phi = phi + heat * self._Gamma * (1 - A)
@@ -239,11 +240,6 @@ class Thermal(Material):
         clamped = 0.5 * A * warm * warm / (bulk + self._Gamma * self.coupling * self.theta_R * ratio)
         h = heat * (ratio * expm1(-self.g(J)) + self.g(J))
         return A * h + clamped, clamped
-
-    def _degradation(self, z: Values) -> Any:
-        """The degradation g(d) of a material that breaks."""
-        damaged: Any = self.isothermal_material
-        return damaged.degradation(z["damage"])
 
     @property
     def isothermal_material(self) -> Material:
