@@ -83,16 +83,11 @@ class UnknownNameError(NgviscoError, KeyError):
         return self.message
 
 
-def require_known(
-    kind: str, names: Iterable[str], known: Collection[str], key: str = "", table: str = ""
-) -> None:
-    """Raise UnknownNameError for the first name that is not in ``known``.
-
-    The error is about the parameter ``key``; with a ``table`` the names are keys of this parameter.
-    """
+def require_known(kind: str, names: Iterable[str], known: Collection[str], key: str = "") -> None:
+    """Raise UnknownNameError for the first name that is not in ``known``; ``key[]`` is a table of the names."""
     for name in names:
         if name not in known:
-            raise UnknownNameError(kind, name, known, f"{table}[{name!r}]" if table else key)
+            raise UnknownNameError(kind, name, known, key.replace("[]", f"[{name!r}]"))
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

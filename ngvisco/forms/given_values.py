@@ -92,7 +92,7 @@ def given_values(
         for v in material.variables
         if not isinstance(v, DamageSlope)
     }
-    require_known("material variable", given, (*shapes, *further), table=f"{owner}.values")
+    require_known("material variable", given, (*shapes, *further), f"{owner}.values[]")
     return {
         name: as_shape(f"{owner}.values[{name!r}]", given[name], shape)
         for name, shape in shapes.items()
@@ -232,7 +232,7 @@ def entering(wall: Passage, owner: str, model: Model, mesh: Mesh) -> Entering:
             raise ParameterError(f"{owner}.density", wall.density, expected)
         if wall.amounts:
             names = [body.name for body in model.bodies]
-            require_known(f"body in {owner}.amounts", wall.amounts, names, table=f"{owner}.amounts")
+            require_known(f"body in {owner}.amounts", wall.amounts, names, f"{owner}.amounts[]")
             amounts = {n: as_shape(f"{owner}.amounts[{n!r}]", wall.amounts.get(n, 0.0), ()) for n in names}
             plastic = {K.name: CF(0.0) for K in material.plastic_contents.values()}
             given = material.filled(amounts, Id(3)) | plastic | given

@@ -53,7 +53,7 @@ _CURVED = 0.5  # largest ratio of the facets' angle to their chords' angle; 1 if
 
 def check_boundary_names(mesh: Mesh, names: Iterable[str], owner: str = "walls") -> None:
     """Raise UnknownNameError for a name that no boundary of the mesh has; NGSolve stays silent."""
-    require_known("boundary", names, set(mesh.GetBoundaries()), table=owner)
+    require_known("boundary", names, set(mesh.GetBoundaries()), f"{owner}[]")
 
 
 def axis_parallel_walls(mesh: Mesh) -> tuple[list[list[str]], list[str]]:
