@@ -84,7 +84,7 @@ class UnknownNameError(NgviscoError, KeyError):
 
 
 def require_known(kind: str, names: Iterable[str], known: Collection[str], key: str = "") -> None:
-    """Raise UnknownNameError for the first name that is not in ``known``; ``key[]`` is a table of the names."""
+    """Raise UnknownNameError for the first name that is not in ``known``; ``key[]`` is a table of names."""
     for name in names:
         if name not in known:
             raise UnknownNameError(kind, name, known, key.replace("[]", f"[{name!r}]"))

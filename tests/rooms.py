@@ -167,7 +167,9 @@ def updated(room: str) -> str:
     tail = body[body.rindex(list(items.values())[-1]) + len(list(items.values())[-1]) :]
     there = files_of(room)
     for name in sorted(there - set(items)):
-        items[name] = f"1. `{name}` — {first_line(ROOMS[room] / name).rstrip('.')}.\n"
+        # a description begins with lower case; names such as NGSolve or J keep their capital
+        line = re.sub(r"^[A-Z](?=[a-z]| )", lambda first: first[0].lower(), first_line(ROOMS[room] / name))
+        items[name] = f"1. `{name}` — {line.rstrip('.')}.\n"
     modules = {MODULES[m].name: m for m in MODULES if room_of(m) == room and m != room and m not in ROOMS}
     order: list[str] = []
 
