@@ -81,6 +81,7 @@ from ngvisco.run.plots import plot_energies, plot_schemes
 from ngvisco.run.probes import Integrals, LineSamples, Probes, WallForces
 from ngvisco.run.record import record
 from ngvisco.run.refinement import Refinement, run_refined
+from ngvisco.run.ringing import RingingWarning
 from ngvisco.run.self_contact import SelfContactWarning
 from ngvisco.run.signs import CreepPowerWarning, DissipationWarning, EntropyWarning
 from ngvisco.run.simulation import Observer, Simulation
@@ -133,7 +134,7 @@ __all__ = [  # noqa: RUF022 (by subject)
     "RunDirectoryError", "StepError", "StopRequested", "UnknownNameError",
     "ClosureWarning", "ConvexityWarning", "CreepPowerWarning", "DamageWarning", "DefectWarning",
     "DissipationWarning", "EntropyWarning", "InflowWarning", "InputWarning",
-    "MomentumWarning", "NgviscoWarning", "SelfContactWarning", "SmearedWarning",
+    "MomentumWarning", "NgviscoWarning", "RingingWarning", "SelfContactWarning", "SmearedWarning",
 ]
 # fmt: on
 __all__ += flow_rules.__all__

@@ -32,6 +32,7 @@ from ngvisco.run.interruption import Interruption
 from ngvisco.run.ledger import Ledger
 from ngvisco.run.notebook import simulation_html
 from ngvisco.run.ranks import ending_all_ranks, tell
+from ngvisco.run.ringing import Ringing
 from ngvisco.run.self_contact import SelfContact
 from ngvisco.run.snapshot import take_up
 from ngvisco.run.state import RunState
@@ -152,7 +153,7 @@ class Simulation(RunState):
         super().__init__(step, time, initial, options, passive)
         self.observers = list(observers)
         self.interruption = Interruption(self)
-        self.self_contact = SelfContact(step, self.ranks)
+        self.self_contact, self.ringing = SelfContact(step, self.ranks), Ringing(step, self.ranks)
         self._kept = {"mesh", "model", *self.arguments, *_STEPS} - {
             "velocity_scale"
         }  # which a resumed run sets
@@ -236,6 +237,7 @@ class Simulation(RunState):
             self.ledger.check_closure()
             self.tension(self.t)
             self.self_contact(self.t, row["cfl"])
+            self.ringing(self.t, self.velocity_scale)
             return row
 
     @ending_all_ranks()

@@ -1,0 +1,52 @@
+"""Warns if the velocities of a run alternate from step to step."""
+
+from __future__ import annotations
+
+from ngsolve import CF, GridFunction
+
+from ngvisco.errors import NgviscoWarning
+from ngvisco.forms.system import Step
+from ngvisco.parallel.communicator import Communicator
+from ngvisco.physics.tensors import inner, square
+
+_STEPS = 10
+"""Number of alternating steps in a row before a run warns; ten signs agree by chance once in 1,000 runs."""
+_NOISE = 1e-12
+"""Kinetic energy of an alternation, over that of the velocity scale, that is ascribed to rounding."""
+
+
+class RingingWarning(NgviscoWarning):
+    """Velocities alternate from step to step: the steps do not resolve the motion, and nothing damps it."""
+
+
+class Ringing:
+    """Warning, once in a run, of velocities that alternate from step to step.
+
+    By the midpoint rule a wave of the frequency omega advances by the angle a, tan(a/2) = omega tau/2, in a
+    step of the length tau.  Then v_{n+1} + v_{n-1} = 2 cos(a) v_n, so that int rho v_n . (v_{n+1} + v_{n-1})
+    is negative if most of the kinetic energy is in waves with omega tau > 2.
+    """
+
+    def __init__(self, step: Step, ranks: Communicator) -> None:
+        self._step, self._ranks, self._count = step, ranks, 0
+        v, rho = step.now.v, step.now.rho
+        self._last, self._before = (GridFunction(step.layout.blocks["v"]) for _ in range(2))
+        opposed = rho * inner(self._last, v + self._before)
+        self._integrand = CF((opposed, rho * square(self._last), rho)).Compile()
+
+    def __call__(self, t: float, scale: float) -> None:
+        """Look at the state at the time ``t``, s, after a step of a run with the velocity scale ``scale``,
+        m/s."""
+        if self._count == _STEPS:
+            return
+        opposed, energy, mass = self._step.quadrature.integrate_cells(self._integrand)
+        self._before.vec.data, self._last.vec.data = self._last.vec, self._step.now.v.vec
+        self._count = self._count + 1 if opposed < 0 and energy > _NOISE * mass * scale**2 else 0
+        if self._count == _STEPS:
+            message = (
+                f"until t = {t:.4g} s velocities alternated from step to step, {_STEPS} times in a row, and "
+                "so do stresses. The steps do not resolve this motion, and the scheme does not damp it; take "
+                "the first steps by backward Euler (time.startup = 2), another scheme ('sdirk2' damps waves),"
+                " or shorter steps"
+            )
+            self._ranks.warn(message, RingingWarning, stacklevel=5)
