@@ -1,0 +1,76 @@
+"""A stressed body leaves through an open wall as it moves; three bodies in a cell have no first one."""
+
+import numpy as np
+import pytest
+from ngsolve import CF, IfPos, x, y
+
+import ngvisco as nv
+from ngvisco.geometries import structured_box
+from ngvisco.physics.variables import Jacobian
+
+_FLUID = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 5 * (J - 1) * (J - 1) / J)
+
+
+def _solid(shear: float) -> nv.Material:
+    return nv.ReferentialNeoHookean(K_e=10.0, G_e=shear)
+
+
+@pytest.mark.filterwarnings("ignore::ngvisco.SmearedWarning")
+def test_a_stressed_dense_block_leaves_through_an_open_wall_at_its_speed() -> None:
+    """The stretches 1.0587, 1.3118 and 0.7217 have det F = 1 and T_xx = 0, so that v stays constant."""
+    q = float(max(np.roots([1.0, 0.0, -0.36, -1.0]).real))
+    inside = (x - 0.4) * (0.8 - x)
+    stretches = [IfPos(inside, s**0.5, 1.0) for s in (q, q + 0.6, q - 0.6)]
+    F = CF((stretches[0], 0, 0, 0, stretches[1], 0, 0, 0, stretches[2]), dims=(3, 3))
+    bodies = (
+        nv.Body(name="block", where=inside, material=_solid(1.0), density=10.0),
+        nv.Body(name="air", material=_FLUID, density=1.0),
+    )
+    run = nv.Simulation(
+        structured_box((1, 0.2), (10, 2)),
+        nv.Model(bodies=bodies),
+        time=nv.TimeSteps(dt=0.04, scheme="midpoint", velocity_scale=1.0),
+        initial=nv.Initial(velocity=(1.0, 0.0), F=F),
+        walls={"left": nv.Inflow(velocity=(1.0, 0.0)), "right": nv.Open()},
+        discretisation=nv.Discretisation(k=1, m=0),
+        observers=[table := nv.Bodies()],
+    )
+    assert abs(run.fields["cauchy_stress"](run.mesh(0.6, 0.1))[4] - 1.2) < 1e-9
+    run.run(0.8)
+    column, mass = run.ledger.column, table.column("block_mass")
+    assert 0.0 < mass[-1] < 0.1 * mass[0]
+    assert abs(mass[10] / mass[0] - 0.5) < 0.02
+    assert abs(column("v_max") - 1).max() < 1e-8
+    assert abs(column("kinetic") - column("mass") / 2).max() < 1e-8 * column("kinetic")[0]
+    assert abs(column("closure_relative")).max() < 1e-9
+
+
+def test_the_order_of_three_bodies_in_a_cell_changes_nothing() -> None:
+    ball = 0.04 - (x - 0.5) * (x - 0.5) - (y - 0.5) * (y - 0.5)
+    viscous = nv.StokesViscosity(K_v=0.05, G_v=0.05)
+    bodies = {
+        "disc": nv.Body(
+            name="disc", where=nv.Ball((0.5, 0.5), 0.2), material=_solid(1.0), viscosity=viscous, density=2.0
+        ),
+        "layer": nv.Body(name="layer", where=0.3 - y, material=_solid(3.0), viscosity=viscous, density=1.0),
+        "medium": nv.Body(name="medium", material=_FLUID, viscosity=viscous, density=0.1),
+    }
+    rows = []
+    for order in (list(bodies), list(bodies)[::-1]):
+        run = nv.Simulation(
+            structured_box((1, 1), (5, 5)),
+            nv.Model(
+                bodies=[bodies[name] for name in order],
+                loads=[nv.BodyForce((IfPos(ball, 0.2, 0.0), IfPos(ball, -1.0, 0.0)))],
+            ),
+            time=nv.TimeSteps(dt=0.1, velocity_scale=0.3),
+            walls={"bottom": nv.NoSlip()},
+            discretisation=nv.Discretisation(k=1, m=0),
+            observers=[table := nv.Bodies()],
+        )
+        run.run(0.3)
+        names = [f"{name}_{what}" for name in bodies for what in ("x", "y", "mass")]
+        rows.append(np.array([table.column(name) for name in names]))
+    assert abs(rows[0][1, -1] - rows[0][1, 0]) > 1e-3
+    assert abs(rows[0] - rows[1]).max() < 1e-9
+    assert all(abs(masses / masses[0] - 1).max() < 1e-12 for masses in rows[0][2::3])
