@@ -167,8 +167,7 @@ class Numbers:
         for part in numbers:
             if end is None or not begin * (1 - 1e-12) <= part.time <= end * (1 + 1e-12):
                 expected = f"a time of the run, which goes from t = {begin:g} s to its end t = {until} s"
-                kind = "until" if part.is_integral else "at"
-                text = f"{part.column} {kind} {part.time:g}"
+                text = f"{part.column} {'until' if part.is_integral else 'at'} {part.time:g}"
                 raise ParameterError("of", text, expected)
         return cls(tuple(numbers), named, balances or {})
 

@@ -3,6 +3,7 @@ refuses."""
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import pytest
@@ -10,8 +11,10 @@ from flow_rules import EXAMPLES, OF_CONFORMATION
 from scipy.integrate import quad
 
 import ngvisco as nv
+from ngvisco.errors import Quantity
 from ngvisco.physics.arrays import TINY, Array
 from ngvisco.physics.flow_rules.resolvent import resolved, slope_of
+from ngvisco.physics.parameters import Modulus
 from ngvisco.physics.tensors import identity_like, square, trace_free_tensors
 from ngvisco.physics.variables import HARDENING, PRESSURE
 
@@ -169,9 +172,20 @@ class Powerless(nv.FlowRule):
         return 2.0 * M
 
 
+@dataclass(frozen=True, kw_only=True)
+class Direct(nv.FlowRule):
+    """A rule whose rate multiplies by its modulus itself, and not by the modulus' value at the point."""
+
+    A: Annotated[Modulus, Quantity("1/s/Pa", "> 0", 0.1)]
+
+    def rate(self, M, zeta, z):
+        return self.A * M
+
+
 @pytest.mark.parametrize(
     ("rule", "field"),
     [
+        (Direct(A=nv.Parameter("A", start=1.0)), r"Direct.rate.*value_at\(self.A, z\)"),
         (Odd(sign=-1.0), "Odd.rate.*M : Pi >= 0"),
         (Odd(trace=1.0), "Odd.rate.*expected 0 for the trace of Pi"),
         (Odd(nu=1.0, factor=2.0), "Odd.psi.*psi'"),

@@ -132,8 +132,8 @@ def _naming(field: str, law: object) -> Iterator[None]:
         yield
     except Exception as error:
         expected = (
-            f"a function written with ngvisco.physics.tensors, but this raises {type(error).__name__}: "
-            f"{error}"
+            "a function written with ngvisco.physics.tensors, which reads moduli by value_at(self.A, z); "
+            f"this function raises {type(error).__name__}: {error}"
         )
         raise ParameterError(field, law, expected) from error
 
