@@ -63,7 +63,8 @@ def test_ngsolve_has_no_workers_during_array_work():
 
 
 def test_the_blas_has_one_thread_in_every_factorisation_of_a_resumed_run(monkeypatch, tmp_path):
-    """With two threads, a factorisation may have other last bits, as with the kernel of Haswell."""
+    """With some BLAS kernels, as Haswell's, the last bits of a factorisation by two threads differ from those
+    by one thread."""
     numbers, factorise = [], CondensedJacobian.factorise
 
     def counted(*args):

@@ -209,7 +209,7 @@ class LocalMatrix:
 
 
 def _mapped(values: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """Each run of len(matrix) values along the last axis times the matrix."""
+    """Multiply each group of len(matrix) successive values along the last axis by the matrix."""
     product = values.reshape(-1, len(matrix)) @ matrix.astype(values.dtype, copy=False)
     return product.reshape(*values.shape[:-1], values.shape[-1] // len(matrix) * matrix.shape[1])
 

@@ -123,7 +123,7 @@ class Time(TimeSteps):  # type: ignore[misc]
     )
 
     def completed(self, made: Any) -> Any:
-        """The steps, if they are not too many."""
+        """Return ``made``; raise ParameterError if the step length makes too many steps."""
         # adaptive steps grow: dt is the length of the first step only, so that dt_max gives the least number
         # of steps
         name, longest = (

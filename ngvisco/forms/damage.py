@@ -96,7 +96,7 @@ _NEWTON, _ROUNDING = 10, 1e-15
 
 
 class Breaking(Protocol):
-    """The part of a step that the growth of damage needs."""
+    """Attributes of a step that the growth of damage uses."""
 
     mesh: Mesh
     model: Model

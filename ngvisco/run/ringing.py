@@ -12,7 +12,8 @@ from ngvisco.physics.tensors import inner, square
 _STEPS = 10
 """Number of alternating steps in a row before a run warns; ten signs agree by chance once in 1,000 runs."""
 _NOISE = 1e-12
-"""Kinetic energy of an alternation, over that of the velocity scale, that is ascribed to rounding."""
+"""Largest kinetic energy of an alternation, relative to the kinetic energy of the velocity scale, that counts
+as rounding."""
 
 
 class RingingWarning(NgviscoWarning):
@@ -35,7 +36,7 @@ class Ringing:
         self._integrand = CF((opposed, rho * square(self._last), rho)).Compile()
 
     def __call__(self, t: float, scale: float) -> None:
-        """Look at the state at the time ``t``, s, after a step of a run with the velocity scale ``scale``,
+        """Check the state at the time ``t``, s, after a step; ``scale`` is the velocity scale of the run,
         m/s."""
         if self._count == _STEPS:
             return

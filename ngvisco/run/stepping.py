@@ -195,7 +195,7 @@ class Accepted:
 
 
 class Stepped(Protocol):
-    """A run as its stepper sees it."""
+    """Attributes of a run that its stepper uses."""
 
     rothe_step: Step
     solver: RotheSolver

@@ -99,8 +99,8 @@ class Starts:
         return self._products(self._multiplier.vec, self._slope, rows)
 
     def _products(self, at: BaseVector, product: Slope, rows: np.ndarray) -> np.ndarray:
-        """Values of ``product`` with each of ``rows`` in the vector ``at``; zero for unknowns of the start
-        that a step does not read."""
+        """Results of ``product`` after each of ``rows`` is copied to the vector ``at``; zero for unknowns of
+        the start that a step does not read."""
         result = np.zeros_like(rows)
         for values, weights in zip(result, rows, strict=True):
             at.FV().NumPy()[:] = weights

@@ -174,7 +174,7 @@ class Powerless(nv.FlowRule):
 
 @dataclass(frozen=True, kw_only=True)
 class Direct(nv.FlowRule):
-    """A rule whose rate multiplies by its modulus itself, and not by the modulus' value at the point."""
+    """A rule whose rate multiplies by the Modulus object and not by its value at the point."""
 
     A: Annotated[Modulus, Quantity("1/s/Pa", "> 0", 0.1)]
 

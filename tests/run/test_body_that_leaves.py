@@ -1,4 +1,5 @@
-"""A stressed body leaves through an open wall as it moves; three bodies in a cell have no first one."""
+"""A stressed body leaves through an open wall at its own speed; the order of three bodies in one cell does
+not change the result."""
 
 import numpy as np
 import pytest

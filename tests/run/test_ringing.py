@@ -1,4 +1,4 @@
-"""A run warns of velocities that alternate from step to step, and only then."""
+"""A run warns if, and only if, its velocities alternate from step to step."""
 
 import warnings
 

@@ -44,7 +44,7 @@ class WallFlux:
     """The flux into the body through one wall, flux + coefficient (outside - potential); zero elsewhere."""
 
     def __init__(self, mesh: Mesh, wall: str, *given: Function | None) -> None:
-        """``given`` are the value of ``outside``, the coefficient and the flux; None is zero."""
+        """``given`` are ``outside``, the coefficient and the flux, in this order; None stands for zero."""
         self._given = facet_indicator(mesh, [wall]), *(CF(0.0 if f is None else f) for f in given)
 
     def values(self, u: Fields) -> Sequence[CoefficientFunction]:

@@ -243,8 +243,8 @@ class Branches(Material):
 
 
 def rules_of(material: Material, creep: FlowRule | None) -> dict[str | None, FlowRule]:
-    """Flow rules of a material's branches by name, or, by None, the rule ``creep`` of a material without
-    branches."""
+    """Flow rules by the name of the branch.  A material without branches has the rule ``creep`` under the key
+    None."""
     network = part_of(material, Network)
     rules = {None: creep} if network is None else {n: b.creep for n, b in network.parts.items()}
     return {name: rule for name, rule in rules.items() if rule is not None}

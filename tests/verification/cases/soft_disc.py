@@ -56,7 +56,8 @@ def model_of(problem: Problem, K_e: float) -> nv.Model:
 
 
 def cavity(cells: tuple[int, int], K_e: float, until: float, **interfaces: bool) -> nv.Bodies:
-    """The table of demos/soft_disc until a time, s; options of the discretisation choose the interfaces."""
+    """Run demos/soft_disc until a time, s, and return its table; options of the discretisation set the kind
+    of interface."""
     walls: Conditions = {"top": nv.PrescribedTangential((1.0, 0.0)), ("left", "right", "bottom"): nv.NoSlip()}
     table = nv.Bodies()
     run = nv.Simulation(
