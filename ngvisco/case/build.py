@@ -50,10 +50,7 @@ def load_case(path: str | os.PathLike[str], settings: Sequence[str] = ()) -> Cas
         Overrides ``key.path=value``, as by ``--set`` on the command line.
     """
     source = require_path("load_case.path", path)
-    case = parse_case(text_of(source), str(source), source.parent, settings)
-    with case.locator.located("time"):
-        case.sections.time.built.stepper().check("Time.until", case.until)
-    return case
+    return parse_case(text_of(source), str(source), source.parent, settings)
 
 
 def parse_case(text: str, source: str, directory: Path, settings: Sequence[str] = ()) -> Case:

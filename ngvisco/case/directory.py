@@ -20,8 +20,7 @@ from typing import Any, TextIO
 import numpy as np
 from ngsolve import Mesh
 
-from ngvisco.case.build import Case, parse_case
-from ngvisco.case.reading import text_of
+from ngvisco.case.build import Case, load_case
 from ngvisco.errors import CheckpointError, MeshError, NgviscoError, require_path
 from ngvisco.run.files import locks, mesh_in, mesh_of, require_whole, write_atomically
 from ngvisco.run.pictures import FORMATS
@@ -168,8 +167,7 @@ class RunDirectory:
                 exists = self.path.exists()
                 what = "this is a file, not a run directory" if exists else "this directory does not exist"
             raise RunDirectoryError(f"{self.path}: {what}")
-        # a resumed run counts its steps from a checkpoint, so that its end may be no multiple of dt
-        return parse_case(text_of(self.case_file), str(self.case_file), self.path)
+        return load_case(self.case_file)
 
     def mesh(self) -> Mesh:
         """The initial mesh of the run; raises MeshError if the file has changed since the run wrote it."""

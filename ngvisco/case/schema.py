@@ -123,7 +123,7 @@ class Time(TimeSteps):  # type: ignore[misc]
     )
 
     def completed(self, made: Any) -> Any:
-        """Return ``made``; raise ParameterError if the step length makes too many steps."""
+        """Return ``made``; raise ParameterError if there are too many steps, or none of them ends at ``until``."""
         # adaptive steps grow: dt is the length of the first step only, so that dt_max gives the least number
         # of steps
         name, longest = (
@@ -133,6 +133,7 @@ class Time(TimeSteps):  # type: ignore[misc]
             f"since the given length makes {self.until / longest:.0e} steps to time.until = {self.until:g} s"
         )
         _require_length(f"Time.{name}", longest, self.until, _MAX_STEPS, steps)
+        made.stepper().check("Time.until", self.until)
         return made
 
 

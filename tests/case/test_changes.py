@@ -53,15 +53,6 @@ def test_the_directory_holds_both_cases_and_the_change(run):
     assert nv.load(run).case.sections.material.G_e == 6
 
 
-def test_the_end_of_a_resumed_run_is_a_multiple_of_the_new_step_after_the_checkpoint(run):
-    simulation = nv.case.resume(run, settings=["time.dt=0.03", "time.until=0.07"])
-    assert simulation.t == pytest.approx(0.07) and simulation.number == 3
-    assert nv.load(run).case.until == 0.07
-    with pytest.raises(nv.CaseError, match=r"time\.until.*a multiple of dt = 0.03 after t = 0.07"):
-        nv.case.resume(run, settings=["time.until=0.12"])
-    assert nv.case.resume(run, settings=["time.until=0.1"]).number == 4
-
-
 def test_an_end_time_is_moved_to_the_nearest_end_of_a_step(run):
     """The end may be off by a thousandth of dt, because a time in other units is known to some digits
     only."""
