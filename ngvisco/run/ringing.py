@@ -17,15 +17,16 @@ as rounding."""
 
 
 class RingingWarning(NgviscoWarning):
-    """Velocities alternate from step to step: the steps do not resolve the motion, and nothing damps it."""
+    """Velocities alternate from step to step: the steps do not resolve the motion."""
 
 
 class Ringing:
-    """Warning, once in a run, of velocities that alternate from step to step.
+    """Warning, once after a start, of velocities that alternate from step to step.
 
     By the midpoint rule a wave of the frequency omega advances by the angle a, tan(a/2) = omega tau/2, in a
     step of the length tau.  Then v_{n+1} + v_{n-1} = 2 cos(a) v_n, so that int rho v_n . (v_{n+1} + v_{n-1})
-    is negative if most of the kinetic energy is in waves with omega tau > 2.
+    is negative if most of the kinetic energy is in waves with omega tau > 2.  By every scheme it is negative
+    for a motion that a load repeats in fewer than four steps.
     """
 
     def __init__(self, step: Step, ranks: Communicator) -> None:
@@ -46,8 +47,8 @@ class Ringing:
         if self._count == _STEPS:
             message = (
                 f"until t = {t:.4g} s velocities alternated from step to step, {_STEPS} times in a row, and "
-                "so do stresses. The steps do not resolve this motion, and the scheme does not damp it; take "
-                "the first steps by backward Euler (time.startup = 2), another scheme ('sdirk2' damps waves),"
-                " or shorter steps"
+                "so do stresses. The steps do not resolve this motion; take shorter steps. If the start was "
+                "out of balance, backward Euler in the first steps (time.startup = 2) or the scheme 'sdirk2' "
+                "damps the waves"
             )
             self._ranks.warn(message, RingingWarning, stacklevel=5)

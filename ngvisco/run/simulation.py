@@ -200,6 +200,7 @@ class Simulation(RunState):
         self.solver.load_state_dict(*checkpoint.part("solver"))
         self.stepper.load_state_dict(self, *checkpoint.part("stepping"))
         self.ledger.resume(checkpoint.balance, rows, limits)
+        self.ringing = Ringing(self.rothe_step, self.ranks)
 
     def advance(self, stop: float = math.inf) -> dict[str, float]:
         """Take one step and return its row of the ledger; adaptive steps end at ``stop`` (s) at the latest.

@@ -414,7 +414,7 @@ def _covariance(J: np.ndarray) -> np.ndarray:
     """Covariance (J^T J)^-1, infinite if the data do not determine all parameters."""
     lengths = np.linalg.norm(J, axis=0)
     _, sizes, V = np.linalg.svd(J / np.where(lengths > 0, lengths, 1.0), full_matrices=False)
-    if sizes[-1] <= _UNDETERMINED * sizes[0]:
+    if len(sizes) < len(lengths) or sizes[-1] <= _UNDETERMINED * sizes[0]:
         return np.full((J.shape[1], J.shape[1]), np.inf)
     return (V.T / sizes**2) @ V / np.outer(lengths, lengths)
 

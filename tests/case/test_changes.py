@@ -94,6 +94,7 @@ def test_an_interrupted_change_is_completed_by_the_next_resume(run, monkeypatch)
         ("material.thermal={c=1.0, theta_R=300.0}", "material.thermal .*cannot change"),
         ("output.passive=['F_tot']", "output.passive .*--from"),
         ("time.dt=-1", "time.dt .*-1.0: expected"),
+        ("time.dt=0.03", "time.until: .*a multiple of dt"),
         ("material.Ge=1", "did you mean 'G_e'"),
         ("rheology.hyperviscosity.mu=1e-3", "the checkpoint has spaces = "),
         ("output.probes=[{name='a', point=[3, 3]}]", "output.probes.0.point"),

@@ -50,3 +50,14 @@ def test_a_resolved_vibration_does_not_warn() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error", nv.RingingWarning)
         run.run(0.08)
+
+
+def test_a_restored_run_counts_anew(tmp_path) -> None:
+    file = tmp_path / "states.h5"
+    run = _ring(startup=0)
+    run.observers.append(nv.Checkpoints(file))
+    with pytest.warns(nv.RingingWarning):
+        run.run(1.5)
+    run.restore(file)
+    with pytest.warns(nv.RingingWarning):
+        run.run(2.8)

@@ -14,6 +14,7 @@ from ngvisco.physics.flow_rules.rule import FlowRule
 from ngvisco.physics.material import Material, part_of
 from ngvisco.physics.materials.thermal import Thermal, entropy_in
 from ngvisco.physics.mixture import Mixture
+from ngvisco.physics.parameters import moduli_in
 from ngvisco.physics.pointwise import rest_state
 from ngvisco.physics.rheology import Viscosity
 from ngvisco.physics.tensors import trace_free_tensors
@@ -131,8 +132,10 @@ def _naming(field: str, law: object) -> Iterator[None]:
     try:
         yield
     except Exception as error:
+        moduli = [name.rpartition(".")[2] for name, *_ in moduli_in(law)]
+        reads = "".join(f", which reads {name} by value_at(self.{name}, z)" for name in moduli)
         expected = (
-            "a function written with ngvisco.physics.tensors, which reads moduli by value_at(self.A, z); "
+            f"a function written with ngvisco.physics.tensors{reads}; "
             f"this function raises {type(error).__name__}: {error}"
         )
         raise ParameterError(field, law, expected) from error
