@@ -123,7 +123,7 @@ class Time(TimeSteps):  # type: ignore[misc]
     )
 
     def completed(self, made: Any) -> Any:
-        """Return ``made``; raise ParameterError if there are too many steps, or none of them ends at ``until``."""
+        """Return ``made``; raise ParameterError for too many steps, or if no step ends at ``until``."""
         # adaptive steps grow: dt is the length of the first step only, so that dt_max gives the least number
         # of steps
         name, longest = (
