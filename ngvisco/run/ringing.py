@@ -14,6 +14,8 @@ _STEPS = 10
 _NOISE = 1e-12
 """Largest kinetic energy of an alternation, relative to the kinetic energy of the velocity scale, that counts
 as rounding."""
+_LEFT = 1e-4
+"""Kinetic energy, over the largest one of the run, up to which what is left of a motion does not warn."""
 
 
 class RingingWarning(NgviscoWarning):
@@ -30,7 +32,7 @@ class Ringing:
     """
 
     def __init__(self, step: Step, ranks: Communicator) -> None:
-        self._step, self._ranks, self._count = step, ranks, 0
+        self._step, self._ranks, self._count, self._largest = step, ranks, 0, 0.0
         v, rho = step.now.v, step.now.rho
         self._last, self._before = (GridFunction(step.layout.blocks["v"]) for _ in range(2))
         opposed = rho * inner(self._last, v + self._before)
@@ -43,7 +45,9 @@ class Ringing:
             return
         opposed, energy, mass = self._step.quadrature.integrate_cells(self._integrand)
         self._before.vec.data, self._last.vec.data = self._last.vec, self._step.now.v.vec
-        self._count = self._count + 1 if opposed < 0 and energy > _NOISE * mass * scale**2 else 0
+        self._largest = max(self._largest, energy)
+        is_small = energy <= max(_NOISE * mass * scale**2, _LEFT * self._largest)
+        self._count = self._count + 1 if opposed < 0 and not is_small else 0
         if self._count == _STEPS:
             message = (
                 f"until t = {t:.4g} s velocities alternated from step to step, {_STEPS} times in a row, and "
