@@ -11,9 +11,6 @@ from ngvisco.physics.tensors import inner, square
 
 _STEPS = 10
 """Number of alternating steps in a row before a run warns; ten signs agree by chance once in 1,000 runs."""
-_NOISE = 1e-12
-"""Largest kinetic energy of an alternation, relative to the kinetic energy of the velocity scale, that counts
-as rounding."""
 _LEFT = 1e-4
 """Kinetic energy, over the largest one of the run, up to which what is left of a motion does not warn."""
 
@@ -28,7 +25,8 @@ class Ringing:
     By the midpoint rule a wave of the frequency omega advances by the angle a, tan(a/2) = omega tau/2, in a
     step of the length tau.  Then v_{n+1} + v_{n-1} = 2 cos(a) v_n, so that int rho v_n . (v_{n+1} + v_{n-1})
     is negative if most of the kinetic energy is in waves with omega tau > 2.  By every scheme it is negative
-    for a motion that a load repeats in fewer than four steps.
+    for a motion that a load repeats in fewer than four steps.  Velocities below the error of a step's
+    solution do not count.
     """
 
     def __init__(self, step: Step, ranks: Communicator) -> None:
@@ -38,15 +36,15 @@ class Ringing:
         opposed = rho * inner(self._last, v + self._before)
         self._integrand = CF((opposed, rho * square(self._last), rho)).Compile()
 
-    def __call__(self, t: float, scale: float) -> None:
-        """Check the state at the time ``t``, s, after a step; ``scale`` is the velocity scale of the run,
-        m/s."""
+    def __call__(self, t: float, error: float) -> None:
+        """Check the state at the time ``t``, s, after a step; ``error`` is that of the velocities of a step's
+        solution, m/s."""
         if self._count == _STEPS:
             return
         opposed, energy, mass = self._step.quadrature.integrate_cells(self._integrand)
         self._before.vec.data, self._last.vec.data = self._last.vec, self._step.now.v.vec
         self._largest = max(self._largest, energy)
-        is_small = energy <= max(_NOISE * mass * scale**2, _LEFT * self._largest)
+        is_small = energy <= max(mass * error**2, _LEFT * self._largest)
         self._count = self._count + 1 if opposed < 0 and not is_small else 0
         if self._count == _STEPS:
             message = (

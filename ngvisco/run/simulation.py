@@ -238,7 +238,7 @@ class Simulation(RunState):
             self.ledger.check_closure()
             self.tension(self.t)
             self.self_contact(self.t, row["cfl"])
-            self.ringing(self.t, self.velocity_scale)
+            self.ringing(self.t, self.solver.options.tolerance * self.velocity_scale)
             return row
 
     @ending_all_ranks()
