@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -30,6 +29,7 @@ from ngvisco.physics.walls import Wall
 from ngvisco.run.body_tables import Bodies
 from ngvisco.run.checkpoint import Checkpoints
 from ngvisco.run.contours import Contours
+from ngvisco.run.files import AnyPath
 from ngvisco.run.observers import LedgerCSV, VTKSeries
 from ngvisco.run.probes import Integrals, LineSamples, Probes, WallForces
 from ngvisco.run.refinement import Refinement
@@ -38,7 +38,7 @@ from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.shapes.fractions import volumes
 
 
-def load_case(path: str | os.PathLike[str], settings: Sequence[str] = ()) -> Case:
+def load_case(path: AnyPath, settings: Sequence[str] = ()) -> Case:
     """Read and validate a case file.
 
     Raises CaseError with every fault found: line, key path, value, allowed values and the nearest match.
@@ -85,12 +85,14 @@ class Case:
         adapt = self.sections.domain.adapt  # type: ignore[attr-defined]
         return None if adapt is None else adapt.built
 
-    def output_times(self, until: float) -> tuple[float, ...]:
-        """Multiples of ``output.vtk.interval`` up to ``until``; empty without an interval."""
+    def output_times(self, until: float, origin: float = 0.0) -> tuple[float, ...]:
+        """Multiples of ``output.vtk.interval`` after ``origin`` up to ``until``, and ``origin`` itself unless
+        it is 0; empty without an interval."""
         interval = self.sections.output.vtk.interval
         if interval is None or not self.sections.output.vtk.enabled:
             return ()
-        return tuple(i * interval for i in range(1, int(until / interval * (1 + 1e-12)) + 1))
+        count = int((until - origin) / interval * (1 + 1e-12))
+        return tuple(origin + i * interval for i in range(origin == 0, count + 1))
 
     @property
     def resolved(self) -> str:
@@ -219,6 +221,13 @@ class Case:
                 series.prepare(run)
         return run
 
+    def check_end(self, run: Simulation) -> None:
+        """Raise CaseError unless a step of the simulation ends at the end time, or the state is a later
+        one."""
+        with self.locator.located("time"):
+            if self.until > run.t:
+                run.stepper.check("until", self.until)
+
     def _check_bodies(self, mesh: Mesh) -> None:
         """Raise CaseError for a shape that does not fit the mesh."""
         for i, body in enumerate(self.sections.bodies):
@@ -228,12 +237,15 @@ class Case:
                 with self.locator.located("bodies", str(i), "where", *number):
                     volumes(mesh, [shape_of(built(part))])
 
-    def observers(self, directory: str | os.PathLike[str], until: float | None = None) -> list[Observer]:
-        """The observers for ledger, VTK series, tables and, last, checkpoints in a run directory."""
+    def observers(self, directory: AnyPath, times: Sequence[float] | None = None) -> list[Observer]:
+        """The observers for ledger, VTK series, tables and, last, checkpoints in a run directory.
+
+        ``times``, s, are the ``output_times`` of the run, by default of a run from t = 0 to the end time.
+        """
         out, vtk, checkpoint = Path(directory), self.sections.output.vtk, self.sections.output.checkpoint
         chosen: list[Observer] = [LedgerCSV(out / "ledger.csv")]
         if vtk.enabled:
-            times = self.output_times(self.until if until is None else until)
+            times = self.output_times(self.until) if times is None else times
             every = None if vtk.interval else vtk.every
             chosen.append(VTKSeries(out / "vtk", **parameters(vtk) | {"every": every}, times=times))
         chosen += samples(self.sections, out).values()

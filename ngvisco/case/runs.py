@@ -85,7 +85,7 @@ def run(
             raise
         origin = {"directory": str(Path(source).resolve()), "step": state.number}
         notes.append(_taken_over(state, origin, simulation))
-        _check_times(case, simulation, is_new=True)
+    _check_times(case, simulation, is_new=True)
 
     def begin() -> None:
         if not force:
@@ -131,18 +131,20 @@ def resume(
     with ranks.held_by_first(place.locked()):
         ranks.on_first(prepare)
         new = changed(place, case, settings) if settings else case
-        if new.resolved != case.resolved:
-            simulation = new.simulation(_mesh_of_first(new, ranks, place.present_mesh))
-            if ranks.on_first(place.run_file.exists):  # errors come before anything is written
-                before = ranks.on_first(lambda: _pending_change(place, case)) or case.hash
-                resume_changed(simulation, place.run_file, {"case": before})
-            _check_times(new, simulation, until)
-            ranks.on_first(lambda: _write_change(place, case, new, settings))
-            case = place.case()
-        notes = [f"resume: {case.sections.title or case.source}"]
+        notes = [f"resume: {new.sections.title or new.source}"]
         with _noting_warnings(notes.append):
-            simulation = case.simulation(_mesh_of_first(case, ranks, place.present_mesh))
-        return _go(place, case, simulation, until, observers, notes)
+            simulation = new.simulation(_mesh_of_first(new, ranks, place.present_mesh))
+            # a change without a checkpoint is replaced
+            before = ranks.on_first(lambda: _pending_change(place, case)) or case.hash
+            notes += _go_on(place, new, simulation, before)
+        if new.resolved != case.resolved:
+            _check_times(new, simulation, until)  # errors come before anything is written
+            change = {"step": simulation.number, "time": simulation.t, "settings": list(settings)}
+            change |= {"from": before, "to": new.hash}
+            ranks.on_first(lambda: _write_change(place, case, new, change))
+        if before != new.hash:
+            notes.append(f"changed: {', '.join(place.read_versions()['changes'][-1]['settings'])}")
+        return _go(place, new, simulation, until, observers, notes)
 
 
 def _go(
@@ -154,15 +156,6 @@ def _go(
     notes: list[str],
 ) -> Simulation:
     ranks, end = simulation.ranks, case.until if until is None else until
-    if ranks.on_first(place.run_file.exists):
-        before = ranks.on_first(lambda: _pending_change(place, case))
-        if before is None:
-            simulation.restore(place.run_file, attributes={"case": case.hash})
-        else:
-            resume_changed(simulation, place.run_file, {"case": before})
-            notes.append(f"changed: {', '.join(place.read_versions()['changes'][-1]['settings'])}")
-    elif not simulation.ledger.rows and (origin := place.read_versions().get("from")) is not None:
-        notes.append(_taken_over(load(origin["directory"], origin["step"]).simulation, origin, simulation))
     if (met := simulation.stepper.met(end)) != end:
         notes.append(f"the run ends at {met:.10g} s, the end of a step nearest to {end:.10g} s")
         end = met
@@ -172,7 +165,8 @@ def _go(
     _check_times(case, simulation, until)
     log = Log(place.log_file, end, case.sections.output.log_every)
     # an end time given to ``resume`` is an output time too
-    simulation.observers += [*case.observers(place.path, end), log, *observers]
+    times = case.output_times(end, simulation.stepper.origin)
+    simulation.observers += [*case.observers(place.path, times), log, *observers]
     if ranks.is_distributed:
         notes.append(f"the run has {ranks.size} ranks, {ranks.size - 1} of them with cells")
     if simulation.number:
@@ -195,7 +189,7 @@ def _go(
     try:
         with _noting_warnings(write):
             for simulation, stop in parts:
-                simulation.run(stop, [time for time in case.output_times(end) if time <= stop])
+                simulation.run(stop, times)
     except BaseException as error:
         with contextlib.suppress(OSError):  # a full disk may have ended the run
             name = "" if isinstance(error, NgviscoError) else f"{type(error).__name__}: "
@@ -210,6 +204,19 @@ def _go(
     if message := simulation.ledger.unclosed:
         write(message)
     return simulation
+
+
+def _go_on(place: RunDirectory, case: Case, simulation: Simulation, before: str) -> list[str]:
+    """Set a simulation to the state from which the run in a directory goes on; return lines for the log.
+
+    ``before`` is the hash of the case of the run's checkpoints.
+    """
+    if simulation.ranks.on_first(place.run_file.exists):
+        restore = Simulation.restore if before == case.hash else resume_changed
+        restore(simulation, place.run_file, attributes={"case": before})
+    elif (origin := place.read_versions().get("from")) is not None:
+        return [_taken_over(load(origin["directory"], origin["step"]).simulation, origin, simulation)]
+    return []
 
 
 def _taken_over(old: Simulation, origin: dict[str, Any], simulation: Simulation) -> str:
@@ -233,17 +240,18 @@ def _mesh_of_first(case: Case, ranks: Communicator, make: Callable[[], Mesh]) ->
 def _check_times(
     case: Case, simulation: Simulation, until: float | None = None, *, is_new: bool = False
 ) -> None:
-    """Raise ParameterError for an end or an output time at which no step ends, and for an end that the run
-    has already reached. Raise CaseError instead if the end time is the end time of the case. The end of a new
-    run is later than its start."""
+    """Raise ParameterError for an end at which no step ends, or that the run has already reached. Raise
+    CaseError instead if the end time is the end time of the case. The end of a new run is later than its
+    start.
+
+    The case's end time is also checked beside a given end, so that the run can be resumed without one."""
     end = case.until if until is None else simulation.stepper.met(until)
     with contextlib.nullcontext() if until is not None else case.locator.located("time"):
         if simulation.t > end * (1 + 1e-12) or (is_new and simulation.t >= end * (1 - 1e-12)):
             expected = f"a time after t = {simulation.t:g} s, which the run has already reached"
             raise ParameterError("until", end, expected)
         simulation.stepper.check("until", end)
-    for stop in case.output_times(end):
-        simulation.stepper.check("stops", stop)
+    case.check_end(simulation)
 
 
 def changed(place: RunDirectory, case: Case, settings: Sequence[str]) -> Case:
@@ -293,17 +301,11 @@ def _fixed(case: Case) -> dict[str, Any]:
     }
 
 
-def _write_change(place: RunDirectory, case: Case, new: Case, settings: Sequence[str]) -> None:
-    """Write the changed case into the directory, and keep the earlier case."""
-    step, time = 0, 0.0
-    if place.run_file.exists():
-        ledger = place.ledger()
-        step, time = int(ledger["step"][-1]), float(ledger["time"][-1])
+def _write_change(place: RunDirectory, case: Case, new: Case, change: dict[str, Any]) -> None:
+    """Write the changed case and a record of the ``change`` into the directory, and keep the earlier case."""
     record = place.read_versions()
-    before = _pending_change(place, case) or case.hash  # a change without a checkpoint is replaced
-    change = {"step": step, "time": time, "settings": list(settings), "from": before, "to": new.hash}
     record["changes"] = [*record.get("changes", []), change]
-    write_atomically(place.path / f"case.until-step-{step}.toml", case.resolved.encode())
+    write_atomically(place.path / f"case.until-step-{change['step']}.toml", case.resolved.encode())
     place.write_versions(record)
     write_atomically(place.case_file, new.resolved.encode())
 

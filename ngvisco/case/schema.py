@@ -119,21 +119,18 @@ class Time(TimeSteps):  # type: ignore[misc]
     """Step length and end time."""
 
     until: Annotated[float, Quantity("s", "> 0", 1.0)] = Field(
-        description="End of the run, a multiple of dt where steps have one length"
+        description="End of the run; with steps of one length, a multiple of dt after the run's start, or "
+        "after the checkpoint at which dt was changed"
     )
 
     def completed(self, made: Any) -> Any:
-        """Return ``made``; raise ParameterError for too many steps, or if no step ends at ``until``."""
+        """Return ``made``; raise ParameterError for too many steps."""
         # adaptive steps grow: dt is the length of the first step only, so that dt_max gives the least number
         # of steps
-        name, longest = (
-            ("dt", self.dt) if self.adaptive is None else ("adaptive.dt_max", self.adaptive.dt_max)
-        )
-        steps = (
-            f"since the given length makes {self.until / longest:.0e} steps to time.until = {self.until:g} s"
-        )
+        name = "dt" if self.adaptive is None else "adaptive.dt_max"
+        longest = self.dt if self.adaptive is None else self.adaptive.dt_max
+        steps = f"since this length makes {self.until / longest:.0e} steps to time.until = {self.until:g} s"
         _require_length(f"Time.{name}", longest, self.until, _MAX_STEPS, steps)
-        made.stepper().check("Time.until", self.until)
         return made
 
 

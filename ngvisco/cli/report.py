@@ -37,6 +37,7 @@ def check(options: argparse.Namespace) -> int:
     case = cases.load_case(options.case, options.settings)
     mesh = case.mesh()
     run = case.simulation(mesh)
+    case.check_end(run)
     if (adapt := case.refinement) is not None:
         first, mesh = mesh, (run := next(stretches(run, adapt, case.until, mesh, None))[0]).mesh
     layout = run.rothe_step.layout
@@ -120,7 +121,7 @@ def _measure(
     since a single step may need ten times as many iterations as the others.
     """
     with tempfile.TemporaryDirectory() as place:
-        observers, watch = case.observers(Path(place), case.until), Stopwatch(min(_STEPS, steps), _SECONDS)
+        observers, watch = case.observers(Path(place)), Stopwatch(min(_STEPS, steps), _SECONDS)
         series = [o for o in observers if isinstance(o, VTKSeries)]
         began = clock.perf_counter()
         for writer in series:

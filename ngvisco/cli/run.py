@@ -12,8 +12,6 @@ from pathlib import Path
 from ngsolve import SetNumThreads
 
 from ngvisco import case as cases
-from ngvisco.case.directory import RunDirectory
-from ngvisco.case.runs import changed
 from ngvisco.case.units import SI, Converter, UnitError
 from ngvisco.cli import streams
 from ngvisco.cli.streams import DONE, FAILED, NOT_CLOSED, Stopping, stopped
@@ -93,15 +91,9 @@ def resume(options: argparse.Namespace) -> int:
     """Continue a run from its last checkpoint."""
     _end_with_stdin(options)
     SetNumThreads(options.threads)
-    directory = Path(options.directory)
-    if options.until is not None:
-        until = _end_time(options.until)
-    else:
-        place = RunDirectory(directory)
-        until = changed(place, place.case(), options.settings).until
-    stop = StopOnSignal()
-    observers = [*_terminal(options, until), stop]
-    end = None if options.until is None else until
+    directory, stop = Path(options.directory), StopOnSignal()
+    end = None if options.until is None else _end_time(options.until)
+    observers = [*_terminal(options, end or 1.0), stop]  # the resumed run sets their end
     try:
         result = cases.resume(directory, end, observers=observers, settings=options.settings)
     except cases.CaseError as error:

@@ -110,6 +110,7 @@ def _simulation(options: argparse.Namespace) -> tuple[Case, Simulation]:
     for table in tables:
         table.path = None
     simulation = case.simulation(case.mesh(), tables)
+    case.check_end(simulation)
     _require_keys(options.by, case, simulation)
     return case, simulation
 

@@ -166,6 +166,7 @@ def stretches(
     state on a later mesh, ``chosen``.
     """
     cells, every = _First(first, simulation.ranks, refinement), refinement.every
+    origin = simulation.stepper.origin
     if simulation.number == 0 and simulation.ledger.balance is None:
         for _ in range(refinement.levels):  # each finer mesh resolves the start values better
             if (finer := cells.under(simulation)) is None:
@@ -174,12 +175,12 @@ def stretches(
         _tell_checkpoints(simulation, chosen)
     else:
         _tell_checkpoints(simulation, chosen)
-        periods = simulation.t / every
+        periods = (simulation.t - origin) / every
         at_choice = abs(periods - round(periods)) < _SAME_TIME
         if at_choice and (chosen is None or chosen.step != simulation.number) and simulation.t < until:
             simulation = _moved(simulation, cells)
     while True:
-        stop = min((math.floor(simulation.t / every + _SAME_TIME) + 1) * every, until)
+        stop = min(origin + (math.floor((simulation.t - origin) / every + _SAME_TIME) + 1) * every, until)
         stop = until if stop > until * (1 - _SAME_TIME) else stop
         yield simulation, stop
         if simulation.stop_requested or stop == until:

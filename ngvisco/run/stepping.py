@@ -228,8 +228,7 @@ class FixedStepper:
 
     def __init__(self, dt: float, halvings: int = HALVINGS) -> None:
         # largest number of parts of a step
-        self.dt, self.halvings, self._parts = dt, halvings, 1 << halvings
-        self.longest = dt
+        self.dt, self.longest, self.halvings, self._parts = dt, dt, halvings, 1 << halvings
         self.begin(0.0, 0)
 
     def require(self, step: Step) -> None:
@@ -252,11 +251,21 @@ class FixedStepper:
         is_near = abs(end - time) <= _NEAR * self.dt and not math.isclose(end, time, rel_tol=_ROUNDING)
         return end if is_near else time
 
-    def check(self, name: str, time: float) -> None:
-        """Raise ParameterError when ``time`` cannot be met exactly."""
+    def _meets(self, time: float) -> bool:
+        """Whether a step ends at ``time``."""
         covered = time - self._start
         number = round(covered / self.dt)
-        if not math.isclose(number * self.dt, covered, rel_tol=1e-9, abs_tol=1e-12 * abs(time)):
+        return math.isclose(number * self.dt, covered, rel_tol=1e-9, abs_tol=1e-12 * abs(time))
+
+    @property
+    def origin(self) -> float:
+        """Time from which multiples of an interval are counted, s: 0, or the start of the steps if steps of
+        this length counted back from there do not meet t = 0."""
+        return 0.0 if self._meets(0.0) else self._start
+
+    def check(self, name: str, time: float) -> None:
+        """Raise ParameterError when ``time`` cannot be met exactly."""
+        if not self._meets(time):
             after = f" after t = {self._start:g} s" if self._start else ""
             raise ParameterError(name, time, f"a multiple of dt = {self.dt:g}{after}")
 
@@ -306,19 +315,22 @@ class FixedStepper:
 
     def state_dict(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:
         """Numbers and arrays of the stepper that a restart needs."""
-        return {"start": self._start, "first": float(self._first), "level": float(self._level)}, {}
+        return {"start": self._start, "first": self._first, "level": self._level, "dt": self.dt}, {}
 
     def load_state_dict(self, run: Stepped, numbers: dict[str, float], arrays: dict[str, np.ndarray]) -> None:
         """Load the numbers and arrays that ``state_dict`` gave."""
         t = run.t
         self.begin(numbers.get("start", t), int(numbers.get("first", run.number)))
-        if "first" not in numbers or self._time(self._position(t)) != t:  # earlier steps had other lengths
+        # earlier steps had other lengths
+        if numbers.get("dt", self.dt) != self.dt or self._time(self._position(t)) != t:
             self.begin(t, run.number)
         self._level = min(int(numbers.get("level", 0)), self.halvings)
 
 
 class AdaptiveStepper:
     """Steps whose lengths follow from errors and failures, with the methods of ``FixedStepper``."""
+
+    origin = 0.0
 
     def __init__(self, dt: float, options: AdaptiveSteps) -> None:
         self.options = options

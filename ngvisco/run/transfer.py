@@ -305,7 +305,8 @@ def resume_changed(
     step.start_from_old()
     number = int(numbers["step"])
     simulation.set_time(numbers["time"], number)
-    simulation.stepper.begin(numbers["time"], number)
+    if not simulation.is_adaptive:  # adaptive steps begin with the new dt
+        simulation.stepper.load_state_dict(simulation, *checkpoint.part("stepping"))
     ledger, balance = simulation.ledger, checkpoint.balance
     loss = balance.energy - ledger.energy()
     ledger.add_once(TRANSFER, loss)

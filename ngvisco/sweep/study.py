@@ -272,7 +272,7 @@ def _build(cases: Sequence[Case]) -> None:
     for same in by_domain.values():
         mesh = same[0].mesh()
         for case in same:
-            case.simulation(mesh)
+            case.check_end(case.simulation(mesh))
 
 
 def read_table(path: Path) -> list[Outcome]:

@@ -59,6 +59,20 @@ def test_a_run_that_ended_early_is_resumed_bit_for_bit(tmp_path, until):
     assert log.count("step ") == 16 and "reached" not in log
 
 
+def test_after_a_change_of_the_step_the_mesh_is_chosen_at_times_that_steps_end(tmp_path):
+    """Steps of 0.04 after t = 0.3 do not end at multiples of 0.2, but 0.2 after t = 0.3."""
+    place, stops = tmp_path / "run", []
+    nv.case.run(case(tmp_path, "time.until=0.3"), place)
+    with pytest.MonkeyPatch.context() as patch:
+        run = nv.Simulation.run
+        patch.setattr(
+            nv.Simulation, "run", lambda self, stop, times: (stops.append(stop), run(self, stop, times))
+        )
+        assert nv.case.resume(place, settings=["time.dt=0.04", "time.until=0.62"]).t == pytest.approx(0.62)
+    assert stops == pytest.approx([0.5, 0.62])
+    assert abs(nv.read_ledger(place / "run.h5")["closure_relative"]).max() < 1e-11
+
+
 def test_check_reports_the_number_of_cells_at_the_start(tmp_path, capsys):
     (tmp_path / "pulse.toml").write_text(PULSE.replace('"pressure"', '"velocity"'))
     assert main(["check", str(tmp_path / "pulse.toml")]) == 0

@@ -1,6 +1,7 @@
 """Runs that continue with other parameters, or start from another run; the directory records how."""
 
 import json
+import re
 import shutil
 
 import numpy as np
@@ -9,6 +10,8 @@ from support import A_BODY, A_FALL, A_SWIRL, NO_VTK, TWO_STEPS
 
 import ngvisco as nv
 from ngvisco.case.build import parse_case
+from ngvisco.run.simulation import Observer
+from ngvisco.solver.rothe import RotheSolver
 
 CASE = A_BODY + A_FALL + A_SWIRL + TWO_STEPS + NO_VTK
 
@@ -53,6 +56,65 @@ def test_the_directory_holds_both_cases_and_the_change(run):
     assert nv.load(run).case.sections.material.G_e == 6
 
 
+def test_the_end_of_a_run_with_another_step_is_counted_from_each_checkpoint_at_which_the_step_changed(run):
+    """No end is a multiple of 0.03 after t = 0 and after the checkpoint at t = 0.04."""
+    nv.case.resume(run, settings=["time.dt=0.03", "time.until=0.07"])
+    with pytest.raises(
+        nv.CaseError, match=r"time\.until.*: 0\.12: expected a multiple of dt = 0\.03 after t = 0\.04"
+    ):
+        nv.case.resume(run, settings=["time.until=0.12"])
+    assert nv.case.resume(run, 0.1).number == 4
+    with pytest.raises(
+        nv.CaseError, match=r"time\.until.*0\.14: expected a multiple of dt = 0\.025 after t = 0\.1"
+    ):
+        nv.case.resume(run, 0.125, settings=["time.dt=0.025", "time.until=0.14"])
+    nv.case.resume(run, 0.125, settings=["time.dt=0.025", "time.until=0.15"])
+    simulation = nv.case.resume(run)  # the case in the directory can be resumed without an end
+    assert simulation.t == pytest.approx(0.15) and nv.load(run).time == simulation.t
+    assert np.diff(nv.read_ledger(run / "run.h5")["time"]) == pytest.approx(
+        [0.02] * 2 + [0.03] * 2 + [0.025] * 2
+    )
+
+
+def test_a_change_of_other_keys_within_a_halved_step_keeps_the_ends_of_the_steps(tmp_path, monkeypatch):
+    """The checkpoint of a run that was stopped within a step lies at no multiple of dt."""
+    solve = RotheSolver.solve
+
+    def fails(self, interval):
+        if interval.tau > 0.015:
+            raise nv.StepError("refused", [])
+        return solve(self, interval)
+
+    class Stops(Observer):
+        def step(self, simulation, row):
+            simulation.stop_requested = simulation.number == 1
+
+    place = tmp_path / "run"
+    with monkeypatch.context() as patch:
+        patch.setattr(RotheSolver, "solve", fails)
+        nv.case.run(case(tmp_path), place, observers=[Stops()])
+    assert nv.load(place).time == pytest.approx(0.01)
+    simulation = nv.case.resume(place, settings=["material.G_e=6"])
+    assert simulation.t == pytest.approx(0.04) and simulation.step_number == 2
+
+
+def test_files_of_a_resumed_run_are_written_at_multiples_of_the_interval_that_its_steps_meet(tmp_path):
+    """The times begin at the checkpoint if the resumed steps, counted back, do not meet t = 0."""
+    place, interval = tmp_path / "run", ["output.vtk.enabled=true", "output.vtk.interval=0.06"]
+    nv.case.run(case(tmp_path, *interval), place)
+    nv.case.resume(place, settings=["time.dt=0.01", "time.until=0.07"])
+    assert times_of_files(place) == pytest.approx([0, 0.06, 0.07])
+    nv.case.resume(place, settings=["time.dt=0.03", "time.until=0.16"])
+    assert times_of_files(place) == pytest.approx([0, 0.06, 0.07, 0.13, 0.16])
+    nv.case.resume(place, 0.19)
+    assert times_of_files(place) == pytest.approx([0, 0.06, 0.07, 0.13, 0.19])
+
+
+def times_of_files(place):
+    listed = (place / "vtk" / "fields.pvd").read_text()
+    return [float(time) for time in re.findall(r'timestep="([^"]*)"', listed)]
+
+
 def test_an_end_time_is_moved_to_the_nearest_end_of_a_step(run):
     """The end may be off by a thousandth of dt, because a time in other units is known to some digits
     only."""
@@ -94,7 +156,7 @@ def test_an_interrupted_change_is_completed_by_the_next_resume(run, monkeypatch)
         ("material.thermal={c=1.0, theta_R=300.0}", "material.thermal .*cannot change"),
         ("output.passive=['F_tot']", "output.passive .*--from"),
         ("time.dt=-1", "time.dt .*-1.0: expected"),
-        ("time.dt=0.03", "time.until: .*a multiple of dt"),
+        ("time.until=0.05", r"time.until .*: 0\.05: expected a multiple of dt = 0\.02$"),
         ("material.Ge=1", "did you mean 'G_e'"),
         ("rheology.hyperviscosity.mu=1e-3", "the checkpoint has spaces = "),
         ("output.probes=[{name='a', point=[3, 3]}]", "output.probes.0.point"),
@@ -133,6 +195,7 @@ def test_a_new_run_starts_from_an_earlier_one(run, tmp_path):
         (["time.until=0.02"], "run", "time.until.*after t = 0.04 s, which the run has already reached"),
         ([], "run", "time.until.*after t = 0.04 s, which the run has already reached"),
         (["time.dt=0.03", "time.until=0.06"], "run", "a multiple of dt = 0.03 after t = 0.04"),
+        (["time.until=0.05"], "nowhere", "this directory does not exist"),
     ],
 )
 def test_a_new_run_whose_earlier_run_does_not_fit_is_refused_and_writes_nothing(
@@ -141,6 +204,16 @@ def test_a_new_run_whose_earlier_run_does_not_fit_is_refused_and_writes_nothing(
     with pytest.raises(nv.NgviscoError, match=message):
         nv.case.run(case(tmp_path, *settings), tmp_path / "new", source=tmp_path / source)
     assert not contents(tmp_path / "new") if (tmp_path / "new").exists() else True
+
+
+def test_the_end_of_a_run_from_another_is_counted_from_its_start(run, tmp_path):
+    """Also if the run is stopped before its first state is written, and resumed with another step."""
+    new, settings = tmp_path / "new", ["time.dt=0.03", "time.until=0.1"]
+    assert nv.case.run(case(tmp_path, *settings), new, source=run).number == 2
+    assert nv.case.resume(new, 0.13).number == 3
+    for path in (new / "run.h5", new / "ledger.csv"):
+        path.unlink()
+    assert nv.case.resume(new, settings=["time.dt=0.015", "time.until=0.085"]).number == 3
 
 
 def test_force_removes_nothing_if_the_earlier_run_has_passed_the_end(run):

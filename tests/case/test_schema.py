@@ -56,7 +56,9 @@ def case(text, *overrides):
 
 def simulation(text):
     loaded = case(text)
-    return loaded.simulation(loaded.mesh())
+    made = loaded.simulation(loaded.mesh())
+    loaded.check_end(made)
+    return made
 
 
 FAULTS = """\
@@ -76,7 +78,7 @@ CASE | 0.1*t -> 0.1/0 | the value is not finite (float division by zero), at cha
 CASE | g = [0, -> g = [nan, | loads.0.g: [nan, '-1 + 0.1*t']: expected a finite number
 CASE | "1 + 0.1*x" -> "os.system(1)" | case.toml:21: initial.density: 'os.system(1)': a function is called by
 CASE | [initial] -> [intial] | case.toml:20: intial: unknown key; did you mean 'initial'?
-CASE | dt = 0.02 -> dt = 1e-300 | time.dt: 1e-300: expected at least 1.1e-09 s, since the given length makes
+CASE | dt = 0.02 -> dt = 1e-300 | time.dt: 1e-300: expected at least 1.1e-09 s, since this length makes
 CASE | dt = 0.02 -> dt = true | case.toml:28: time.dt: true: expected a number
 CASE | until = 0.1 -> until = 0.11 | time.until: 0.11: expected a multiple of dt = 0.02
 CASE | until = 0.1 -> until = 0.1; [solver]; max_iterations = 2.5 | expected a whole number
@@ -121,7 +123,7 @@ def test_the_limit_of_the_number_of_adaptive_steps_counts_steps_of_the_largest_l
     assert case(CASE, *steps, "time.adaptive.dt_max='1 yr'").until > 9e8
     with pytest.raises(
         CaseError,
-        match=r"time.adaptive.dt_max.*: expected at least 10 s, since the given length makes 9e\+08",
+        match=r"time.adaptive.dt_max.*: expected at least 10 s, since this length makes 9e\+08",
     ):
         case(CASE, *steps, "time.adaptive.dt_max=1")
 

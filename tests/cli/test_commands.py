@@ -222,6 +222,18 @@ def test_progress_bar_says_why_a_step_was_rejected_and_what_was_limited(capsys):
         (("run", "missing.toml"), "missing.toml: the file cannot be read"),
         (("run", "CASE", "--set", "nonsense"), "expected key.path=value"),
         (("run", "CASE", "--set", "time.until=-1"), "time.until (set on the command line): -1.0"),
+        *(
+            (
+                (*command, "--set", "time.until=0.085"),
+                "time.until (set on the command line): 0.085: expected a mu",
+            )
+            for command in (
+                ("check", "CASE"),
+                ("run", "CASE"),
+                ("sweep", "CASE", "--vary", "material.G_e=1,2"),
+                ("gradient", "CASE", "--by", "material.G_e", "--of", "kinetic at 0"),
+            )
+        ),
         (("run", "CASE", "--threads", "0"), "expected a whole number >= 1"),
         (("run", "CASE", "--threads", "9" * 5000), "expected a whole number >= 1"),
         (("run", "CASE", "--threads", "100000"), "100000: expected at most"),
@@ -279,7 +291,7 @@ def test_progress_bar_says_why_a_step_was_rejected_and_what_was_limited(capsys):
         ),
         (("sweep", "CASE", "--vary", "time.dt=0.01,0.02", "-o", "RUN"), "this is a run directory"),
         (
-            ("resume", "RUN", "--set", "time.dt=0.03", "--until", "0.11"),
+            ("resume", "RUN", "--set", "time.dt=0.03", "--set", "time.until=0.1", "--until", "0.11"),
             "--until does not change the case's time.until",
         ),
         (("plot", "RUN", "--movie", "--fps", "0"), "ngvisco: --fps = 0.0: expected a number in (0, 1000]"),
