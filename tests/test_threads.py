@@ -6,6 +6,7 @@ import sys
 
 import pytest
 from ngsolve import CF, SetNumThreads
+from ngsolve.la import BaseMatrix
 from support import small_run
 from threadpoolctl import threadpool_info, threadpool_limits
 
@@ -81,6 +82,27 @@ def test_the_blas_has_one_thread_in_every_factorisation_of_a_resumed_run(monkeyp
         made().restore(tmp_path / "run.h5")  # which repeats the last factorisation
     assert of_steps >= 1
     assert numbers == (of_steps + 1) * [{1}]
+
+
+def test_the_blas_has_one_thread_when_a_state_is_carried_over(monkeypatch, tmp_path):
+    numbers, inverse = [], BaseMatrix.Inverse
+
+    def counted(*args, **options):
+        numbers.append({blas["num_threads"] for blas in threadpool_info() if blas["user_api"] == "blas"})
+        return inverse(*args, **options)
+
+    run = small_run(0.5, observers=[nv.Checkpoints(tmp_path / "run.h5", every=1)])
+    run.run(0.02)
+    finer, changed = run.on(nv.geometries.box((1, 1), 0.3)), run.on(run.mesh, dt=0.01)
+    monkeypatch.setattr(BaseMatrix, "Inverse", counted)
+    with threadpool_limits(2, "blas"):
+        for carry in (
+            lambda: nv.transfer(run, finer),
+            lambda: nv.resume_changed(changed, tmp_path / "run.h5"),
+        ):
+            numbers.clear()
+            carry()
+            assert numbers and numbers == len(numbers) * [{1}]
 
 
 @pytest.mark.parametrize("parts", (1, 2, 3, 9))

@@ -33,6 +33,7 @@ from ngvisco.run import snapshot
 from ngvisco.run.files import AnyPath
 from ngvisco.run.ledger import TRANSFER, energy_of
 from ngvisco.run.state import RunState
+from ngvisco.threads import computing
 
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
@@ -68,6 +69,7 @@ class Transfer:
         return self.energy_before - self.energy_after
 
 
+@computing()
 def transfer(source: Simulation, target: Simulation) -> Transfer:
     """Carry the state of one simulation over to another simulation, on another mesh or in other spaces.
 
@@ -173,8 +175,9 @@ def require_fit(source: Simulation, target: Simulation) -> None:
         raise ParameterError("transfer.target", missing, "passive fields that the source carries too")
     volumes = [Integrate(CF(1.0), run.mesh) for run in (source, target)]
     if abs(volumes[1] / volumes[0] - 1) > _VOLUME:
-        message = f"the new mesh has the volume {volumes[1]:.6g}, but the old mesh has {volumes[0]:.6g}"
-        raise MeshError(message)
+        raise MeshError(
+            f"the new mesh has the volume {volumes[1]:.6g}, but the old mesh has {volumes[0]:.6g}"
+        )
 
 
 def _located(mesh: Mesh, points: QuadraturePoints) -> Located:
@@ -282,6 +285,7 @@ class _Unions:
         return moments
 
 
+@computing()
 def resume_changed(
     simulation: Simulation, path: AnyPath, attributes: Mapping[str, str] | None = None
 ) -> float:
@@ -303,8 +307,7 @@ def resume_changed(
     complete(step)
     step.state_old.vec.data = step.state.vec
     step.start_from_old()
-    number = int(numbers["step"])
-    simulation.set_time(numbers["time"], number)
+    simulation.set_time(numbers["time"], int(numbers["step"]))
     if not simulation.is_adaptive:  # adaptive steps begin with the new dt
         simulation.stepper.load_state_dict(simulation, *checkpoint.part("stepping"))
     ledger, balance = simulation.ledger, checkpoint.balance
