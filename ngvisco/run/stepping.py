@@ -48,19 +48,14 @@ from ngvisco.timestepping.integrator import Integrator, StepTaken
 from ngvisco.timestepping.scheme import TimeScheme, midpoint, scheme_of
 
 _ROUNDING, _NEAR = 1e-9, 1e-3
-
 SAFETY = 0.9
 """Error that the controller aims at, relative to the tolerance."""
-
 INTEGRAL, PROPORTIONAL = 0.7, 0.4
 """Exponents of the PI controller, times the order of the local error."""
-
 LARGEST_CHANGE, UNCHANGED = 2.0, 0.1
 """Largest factor by which a length changes, and the relative change below which the length is kept."""
-
 LEAST_CONSTANT = 1e-2
 """A scheme whose error constant times (p + 1)! is below this number gives no estimate of the local error."""
-
 HALVINGS, MOST_HALVINGS = 3, 20
 """Default and largest number of halvings of a step of fixed length that is not solved."""
 
@@ -259,8 +254,7 @@ class FixedStepper:
 
     @property
     def origin(self) -> float:
-        """Time from which multiples of an interval are counted, s: 0, or the start of the steps if steps of
-        this length counted back from there do not meet t = 0."""
+        """Origin of output times, s: 0 if steps counted back from the first one end there; else its start."""
         return 0.0 if self._meets(0.0) else self._start
 
     def check(self, name: str, time: float) -> None:
@@ -283,10 +277,9 @@ class FixedStepper:
         return self._first + whole + (part > 0), part == 0
 
     def advance(self, run: Stepped, stop: float, rejected: Callable[[Rejection], None]) -> Accepted:
-        """Take one step that does not pass ``stop``; a StepError leaves the old state.
+        """Take one step that does not pass ``stop``, and call ``rejected`` with each rejection.
 
-        ``rejected`` is called with each rejection.
-        """
+        A StepError leaves the old state."""
         t, position = run.t, self._position(run.t)
         whole, done = divmod(position, self._parts)
         level = first = self._level if done else max(0, self._level - 1)
@@ -321,8 +314,7 @@ class FixedStepper:
         """Load the numbers and arrays that ``state_dict`` gave."""
         t = run.t
         self.begin(numbers.get("start", t), int(numbers.get("first", run.number)))
-        # earlier steps had other lengths
-        if numbers.get("dt", self.dt) != self.dt or self._time(self._position(t)) != t:
+        if numbers.get("dt", self.dt) != self.dt or self._time(self._position(t)) != t:  # other lengths
             self.begin(t, run.number)
         self._level = min(int(numbers.get("level", 0)), self.halvings)
 
@@ -330,11 +322,9 @@ class FixedStepper:
 class AdaptiveStepper:
     """Steps whose lengths follow from errors and failures, with the methods of ``FixedStepper``."""
 
-    origin = 0.0
-
     def __init__(self, dt: float, options: AdaptiveSteps) -> None:
         self.options = options
-        self.dt, self.longest, self.streak = dt, options.dt_max, 0
+        self.dt, self.longest, self.streak, self.origin = dt, options.dt_max, 0, 0.0
         self._growth = GrowthControl(options.damage_growth, options.dt_min)
         self._last_error: float | None = None
         self._estimate: ErrorEstimate | None = None
