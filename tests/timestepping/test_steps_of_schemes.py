@@ -11,6 +11,7 @@ from ngsolve import CF, IfPos, exp, pi, sin, x, y
 from support import SWIRL, assert_goes_on, by_ci, small_run, state, swirling
 
 import ngvisco as nv
+from ngvisco.geometries import structured_box
 from ngvisco.run.ledger import NUMERICAL
 from ngvisco.run.observers import dissipation_advice
 from ngvisco.timestepping.error import ErrorEstimate
@@ -282,6 +283,26 @@ def test_the_controller_keeps_the_error_at_its_tolerance(scheme):
     assert np.median(known[len(known) // 3 :]) >= 0.25 * tolerance
     assert ledger.column("rejections").sum() <= 0.2 * len(errors)
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
+
+
+def test_the_error_of_a_strain_is_relative_to_one():
+    """The stress of a body with a strain of 1e-3 relaxes. The tolerance 1e-3 bounds the error of the strain,
+    and not of the stress; the tolerance 1e-6 is a thousandth of the strain."""
+    errors = {}
+    for tolerance in (1e-3, 1e-6):
+        stepping = nv.AdaptiveSteps(dt_min=1e-6, dt_max=2.0, tolerance=tolerance)
+        model = nv.Model(material=nv.LinearElastic(K_e=10, G_e=1), creep=nv.Creep(G_m=2))  # relaxes in 1 s
+        sheared = nv.Initial(density=1, F=np.array([[1, 1e-3, 0], [0, 1, 0], [0, 0, 1]]))
+        probe = nv.Probes({"p": (0.3, 0.4)}, ["cauchy_stress"])
+        walls = dict.fromkeys(("left", "right", "bottom", "top"), nv.NoSlip())
+        steps = {"dt": 1e-3, "adaptive": stepping, "observers": [probe], "walls": walls}
+        run = nv.Simulation(structured_box((1, 1), (1, 1)), model, initial=sheared, **steps)
+        ledger = run.run(4.0)
+        exact = np.exp(-probe.column("time"))
+        errors[tolerance] = abs(probe.column("p.cauchy_stress_12") / 1e-3 - exact).max()
+        assert np.nanmax(ledger.column("error_estimate")) <= tolerance
+    assert 0.04 <= errors[1e-3] <= 0.08
+    assert 0.005 <= errors[1e-6] <= 0.02
 
 
 # --- advice --------------------------------------------------------------------------------------------
