@@ -57,7 +57,7 @@ class LevelLines:
         radii: np.ndarray | None = None,
     ) -> None:
         phi = phi / specialcf.mesh_size  # relative to each cell, as ``share_above`` expects
-        self._mesh, self._phi, self._cells = mesh, phi, cells
+        self._mesh, self._phi, self.cells = mesh, phi, cells
         corners, self._pieces = subdivision(2, _PIECES)
         self._lambdas = barycentric(corners)
         values = Places(mesh, cells, corners).values(phi).reshape(len(cells), len(corners))
@@ -84,7 +84,7 @@ class LevelLines:
         corner = [(1 - back) * end + back * start for end, start in sides]
         lambdas = (1 - along) * corner[0] + along * corner[1]
         reference = lambdas @ np.array(VERTICES[ET.TRIG])[:, :2]
-        points = mesh_points(self._mesh, np.repeat(self._cells, (_PIECES + 1) ** 2), reference.reshape(-1, 2))
+        points = mesh_points(self._mesh, np.repeat(self.cells, (_PIECES + 1) ** 2), reference.reshape(-1, 2))
         values = np.asarray(self._phi(points)).reshape(lambdas.shape[:3]) - self._level[:, None, None]
         values, coordinates = _triangles(values[..., None])[..., 0], _triangles(lambdas)
         edges = np.diff(coordinates[..., 1:], axis=-2)

@@ -39,6 +39,7 @@ only up to traces of matter. Therefore nonlinear f are refused.
 from __future__ import annotations
 
 from itertools import combinations
+from typing import TypeAlias
 
 import numpy as np
 from ngsolve import (
@@ -83,6 +84,11 @@ disc, relative to its area, is 0.051, 0.071, 0.166 and 0.221 if the largest stri
 0.94 of its cell's height."""
 
 
+_Moves: TypeAlias = list[tuple[int, int, np.ndarray, np.ndarray]]
+"""Exchanges between cells: bodies i and j, cells, (2, moves), and amounts that the first cells give of body i
+for as much of body j from the second cells, (moves,)."""
+
+
 class Sharpening:
     """Separation of bodies in a step's present state; raises ParameterError for an unsuitable model."""
 
@@ -111,13 +117,12 @@ class Sharpening:
         self._vertices, self._facets, self._sides = around.vertices, around.facets, around.sides
         self._shared, self._halo, self._at_border = around.shared, around.halo, around.at_border
         self._outflows = [self._outflow(step.now.z[n]) for n in self._amounts]
-        corners = range(self.dim + 1)
-        self._on = np.array([[c for c in corners if c != opposite] for opposite in corners])
+        self._on = np.array([np.delete(range(self.dim + 1), opposite) for opposite in range(self.dim + 1)])
         edges = self._x[:, 1:] - self._x[:, :1]
         self._volumes = np.abs(np.linalg.det(edges)) / (2 if self.dim == 2 else 6)
         self._longest = self._ranks.most(self._volumes.max(initial=0.0)) ** (1 / self.dim)
-        is_round = step.layout.symmetry.is_axisymmetric
-        self._radii = np.maximum(self._x[:, :, 0], 0.0) if is_round else None  # weights of volumes at corners
+        # weights of volumes at corners
+        self._radii = np.maximum(self._x[:, :, 0], 0.0) if step.layout.symmetry.is_axisymmetric else None
         slopes = np.swapaxes(np.linalg.inv(edges), 1, 2)
         # gradients of lambda
         self._slopes = np.concatenate([-slopes.sum(axis=1, keepdims=True), slopes], axis=1)
@@ -163,20 +168,17 @@ class Sharpening:
         self._carried = u.copy()
         if self._distances is not None:
             self._distances.carry(tau)
-        count, is_apart = len(self._amounts), np.zeros(len(self._mass), dtype=bool)
         strips = np.maximum(-np.einsum("kond,kod->kon", tau * self._velocity[:, self._on], self._slopes), 0.0)
         is_passed = strips.max(axis=(1, 2), initial=0.0) >= 1  # strips reach beyond the cell
         pairs = {
             (i, j): ~is_passed & self._is_pair(self._start, i, j) & self._is_pair(u, i, j)
-            for i, j in combinations(range(count), 2)
+            for i, j in combinations(range(len(self._amounts)), 2)
         }
-        for (i, j), pair in pairs.items():
-            self._between(u, i, j, self._defects(i, j, strips), pair)
+        self._between(u, pairs, strips)
         self.swept = self._ranks.most(self.swept)
         self._fill(u)
-        for (i, j), pair in pairs.items():
-            is_apart[self._within(u, i, j, pair)] = True
-        if count > 2 or is_passed.any():
+        is_apart = self._within(u, pairs)
+        if len(pairs) > 1 or is_passed.any():
             self._bound(u, np.flatnonzero(~is_apart))
         self._determinants.restore(u, self._masses)
         self._state()[:, self._basis] = np.einsum("kfc,skc->skf", self._inverse, u)
@@ -208,29 +210,31 @@ class Sharpening:
         )
         return (sums[0] / np.maximum(sums[1], np.finfo(float).tiny))[self._vertices]
 
-    def _behind(self, u: np.ndarray, i: int) -> np.ndarray:
+    def _behind(self, u: np.ndarray, i: int, j: int) -> np.ndarray:
         """Values at corners, (cells, corners), of linear functions that are > 0 in body i's part of a cell,
-        behind a plane; 0 in cells without an interface.
+        and < 0 in body j's part, which a plane bounds; 0 in cells without an interface.
 
-        The first normals are slopes of averaged fractions, the second ones of averaged distances from the
-        first planes.
+        The first normals are slopes of averaged differences of the fractions, the second ones of averaged
+        distances from the first planes. If i and j change places, the functions change their sign.
         """
-        amounts, theta = u[self._amounts], self._fraction(u, i)
-        values, is_cut = np.clip(amounts[i] / amounts.sum(axis=0), 0, 1), np.ones(len(theta), dtype=bool)
-        height = values
+        amounts, (theta, is_shared) = u[self._amounts], self._shared_by(u, i, j)
+        values = np.clip(0.5 + 0.5 * (amounts[i] - amounts[j]) / amounts.sum(axis=0), 0, 1)
+        is_cut, height = np.ones(len(theta), dtype=bool), values
         for _ in range(_PLANES):
             height = np.where(is_cut[:, None], self._averaged(values, is_cut * self._volumes), height)
             has_slope = np.ptp(height, axis=1) > NO_INTERFACE
             height = np.where(has_slope[:, None], height - level(height, theta, self._radii)[:, None], 0.0)
-            is_cut = has_slope & (np.minimum(theta, 1 - theta) > LEAST)
+            is_cut = has_slope & is_shared
             size = np.linalg.norm(np.einsum("kc,kcd->kd", height, self._slopes), axis=1) * self._longest
             values = height / np.where(is_cut, size, 1.0)[:, None]
         return height
 
-    def _fraction(self, u: np.ndarray, i: int) -> np.ndarray:
-        """Mean of theta_i in each cell, in [0, 1], (cells,)."""
+    def _shared_by(self, u: np.ndarray, i: int, j: int) -> tuple[np.ndarray, np.ndarray]:
+        """Share of body i in each cell, in [0, 1], with the traces of other bodies by halves, (cells,), and a
+        mask of the cells with bodies i and j."""
         means = self._means(u[self._amounts])
-        return np.clip(means[i] / means.sum(axis=0), 0, 1)
+        theta = np.clip(means / means.sum(axis=0), 0, 1)[[i, j]]
+        return 0.5 + 0.5 * (theta[0] - theta[1]), theta.min(axis=0) > LEAST
 
     def _defects(self, i: int, j: int, strips: np.ndarray) -> np.ndarray:
         """Outflow of body i in a step by the strips that cross the facets, less the transported outflow,
@@ -245,7 +249,7 @@ class Sharpening:
 
     def _swept_of_planes(self, i: int, j: int, strips: np.ndarray) -> np.ndarray:
         """Shares of body i in the strips, (cells, facets), by planes."""
-        height, on = self._behind(self._start, i), self._on
+        height, on = self._behind(self._start, i, j), self._on
         cut = np.flatnonzero(np.ptp(height, axis=1) > 0)
         path, slopes, sizes = self._tau * self._velocity[cut], self._slopes[cut], strips[cut]
         self.swept = max(self.swept, float(sizes.max(initial=0.0)))
@@ -260,16 +264,14 @@ class Sharpening:
         shares = share_above(prisms(height), radii)
         sizes = sizes if radii is None else sizes * radii.mean(axis=3)
         size = sizes.sum(axis=2)
-        behind = np.repeat(self._fraction(self._start, i)[:, None], self.dim + 1, axis=1)
-        of_strip = (shares * sizes).sum(axis=2) / np.where(size > 0, size, 1.0)
-        behind[cut] = np.where(size > 0, of_strip, behind[cut])
+        behind = np.repeat(self._shared_by(self._start, i, j)[0][:, None], self.dim + 1, axis=1)
+        behind[cut] = np.divide((shares * sizes).sum(axis=2), size, out=behind[cut], where=size > 0)
         return behind
 
     def _swept_of_outlines(self, i: int, j: int, strips: np.ndarray) -> np.ndarray:
         """Shares of body i in the strips, (cells, facets), by outlines."""
-        theta = self._fraction(self._start, i)
-        lines, cut = self._lines(theta, i, j, at_start=True)
-        behind = np.repeat(theta[:, None], self.dim + 1, axis=1)
+        lines, behind = self._lines(self._start, i, j, at_start=True)
+        cut = lines.cells
         self.swept = max(self.swept, float(strips[cut].max(initial=0.0)))
         corners = np.repeat(np.eye(self.dim + 1)[None], len(cut), axis=0)
         path, slopes = self._tau * self._velocity[cut], self._slopes[cut]
@@ -281,28 +283,32 @@ class Sharpening:
             behind[cut[is_some], facet] = share[is_some]
         return behind
 
-    def _lines(self, theta: np.ndarray, i: int, j: int, at_start: bool) -> tuple[LevelLines, np.ndarray]:
-        """Outlines of body i beside body j in cells with the fractions ``theta``, and the numbers of these
-        cells."""
-        cut = np.flatnonzero(np.minimum(theta, 1 - theta) > LEAST)
+    def _lines(self, u: np.ndarray, i: int, j: int, at_start: bool) -> tuple[LevelLines, np.ndarray]:
+        """Outlines between bodies i and j in the cells with both bodies, and shares of body i in all cells,
+        (cells, corners)."""
+        theta, is_shared = self._shared_by(u, i, j)
+        cut = np.flatnonzero(is_shared)
         upper, sign = (i, 1.0) if self._layers[i] > self._layers[j] else (j, -1.0)
         assert self._distances is not None
         phi = self._distances.of(self._names[upper], at_start)
         radii = None if self._radii is None else self._radii[cut]
-        return LevelLines(self.mesh, sign * phi, cut, theta[cut], radii), cut
+        lines = LevelLines(self.mesh, sign * phi, cut, theta[cut], radii)
+        return lines, np.repeat(theta[:, None], self.dim + 1, axis=1)
 
-    def _between(self, u: np.ndarray, i: int, j: int, defects: np.ndarray, pair: np.ndarray) -> None:
-        """Exchange the fluxes' defects between cells of the mask ``pair``, in place."""
-        pair, across = self._halo.with_others(pair.astype(float)) > 0, len(self._halo.beside)
-        defects = np.pad(defects, ((0, across), (0, 0)))
-        defects[len(defects) - across :, 0] = self._halo.swapped(defects[*self._at_border])
-        facets = self._facets[pair[self._facets[:, 0]] & pair[self._facets[:, 2]]]
-        cell, corner, neighbour, opposite = facets.T
-        left = defects[cell, corner] - defects[neighbour, opposite]
-        giving, taking = np.where(left > 0, (cell, neighbour), (neighbour, cell))
-        left = np.abs(left)
-        for _ in range(_PASSES):
-            left = left - self._exchanged(u, (i, giving), (j, taking), left)
+    def _between(self, u: np.ndarray, pairs: dict[tuple[int, int], np.ndarray], strips: np.ndarray) -> None:
+        """Exchange the fluxes' defects between cells of each pair of bodies, in place; all pairs together, so
+        that the order of the bodies does not matter."""
+        moves, across = _Moves(), len(self._halo.beside)
+        for (i, j), here in pairs.items():
+            pair = self._halo.with_others(here.astype(float)) > 0
+            defects = np.pad(self._defects(i, j, strips), ((0, across), (0, 0)))
+            defects[len(defects) - across :, 0] = self._halo.swapped(defects[*self._at_border])
+            facets = self._facets[pair[self._facets[:, 0]] & pair[self._facets[:, 2]]]
+            cell, corner, neighbour, opposite = facets.T
+            left = defects[cell, corner] - defects[neighbour, opposite]
+            cells = np.where(left > 0, (cell, neighbour), (neighbour, cell))
+            moves.append((i, j, cells, np.abs(left)))
+        self._exchange(u, moves, _PASSES)
 
     def _fill(self, u: np.ndarray) -> None:
         """Fill cells with a negative amount of a body, in place. Surroundings give this body in proportion to
@@ -310,41 +316,41 @@ class Sharpening:
         them."""
         cell, _, neighbour, _ = self._facets.T
         giving, taking = np.concatenate([cell, neighbour]), np.concatenate([neighbour, cell])
-        for i in range(len(self._amounts)):
-            amounts = self._contained(u)[self._amounts]
-            has, lacks = np.maximum(amounts, 0.0), np.maximum(-amounts[i], 0.0)
-            total, others = self._received(taking, has[i, giving]), has.sum(axis=0) - has[i]
+        amounts, moves = self._contained(u)[self._amounts], _Moves()
+        has = np.maximum(amounts, 0.0)
+        for i, lacks in enumerate(np.maximum(-amounts, 0.0)):
+            total, others = self._received(0, taking, has[i, giving])[0], has.sum(axis=0) - has[i]
             filling = (lacks / np.where(total > 0, total, 1.0))[taking] * has[i, giving]
-            for j in set(range(len(self._amounts))) - {i}:
+            for j in set(range(len(amounts))) - {i}:
                 share = has[j] / np.where(others > 0, others, 1.0)
-                self._exchanged(u, (i, giving), (j, taking), filling * share[taking])
+                moves.append((i, j, np.array([giving, taking]), filling * share[taking]))
+        self._exchange(u, moves, 1)
 
-    def _exchanged(
-        self, u: np.ndarray, one: tuple[int, np.ndarray], two: tuple[int, np.ndarray], wanted: np.ndarray
-    ) -> np.ndarray:
-        """Exchange the amounts ``wanted`` of a body, given by the cells of ``one``, for equal amounts of
-        another body from the cells of ``two``, in place and as far as the cells have these amounts; return
-        what was exchanged. In exchange for matter that fills up a negative amount a cell gives matter with
-        the cell's X/n."""
-        start, amount = self._contained(u), wanted
-        least = _ROUNDING * start[self._amounts].sum(axis=0)
-        for body, source in (one, two):
-            has = start[self._amounts[body]]
-            gives = self._received(source, wanted)
+    def _exchange(self, u: np.ndarray, moves: _Moves, passes: int) -> None:
+        """Make the ``moves`` in place, as far as the cells have the amounts; each further pass moves what the
+        passes before it have held back. In exchange for matter that fills up a negative amount a cell gives
+        matter with the cell's X/n."""
+        body = np.concatenate([np.repeat([[i], [j]], len(part), axis=1) for i, j, _, part in moves], axis=1)
+        source, wanted = (np.concatenate(parts, axis=-1) for parts in list(zip(*moves, strict=True))[2:])
+        target = source[::-1]
+        for _ in range(passes):
+            has = self._contained(u)[self._amounts]
+            least = _ROUNDING * has.sum(axis=0)
+            gives = self._received(body, source, np.array([wanted, wanted]))
             share = np.minimum(1.0, np.where(has > least, has, 0.0) / np.where(gives > 0, gives, 1.0))
-            amount = np.minimum(amount, wanted * share[source])
-        for (body, source), (_, target) in ((one, two), (two, one)):
-            n, contents = self._amounts[body], self._contents[body]
-            takes, lacks = self._received(target, amount), np.where(-start[n] > least, -start[n], 0.0)
-            filling = amount * np.minimum(1.0, lacks / np.where(takes > 0, takes, 1.0))[target]
+            amount = np.tile((wanted * share[body, source]).min(axis=0), (2, 1))
+            wanted = wanted - amount[0]
+            takes, lacks = self._received(body, target, amount), np.where(-has > least, -has, 0.0)
+            filling = amount * np.minimum(1.0, lacks / np.where(takes > 0, takes, 1.0))[body, target]
             for part, at in ((filling, target), (amount - filling, source)):
                 whole = self._contained(u)
-                is_some = abs(whole[n, at]) > least[at]
-                share = np.where(is_some, part / np.where(is_some, whole[n, at], 1.0), 0.0)
-                for component, carried in ((n, part), *((X, share * whole[X, at]) for X in contents)):
-                    change = self._sums(target, carried) - self._sums(source, carried)
-                    u[component] += (change / self._mass)[:, None]
-        return amount
+                for i, (n, contents) in enumerate(zip(self._amounts, self._contents, strict=True)):
+                    own, to, here = (of[body == i] for of in (part, target, at))
+                    is_some = abs(whole[n, here]) > least[here]
+                    share = np.where(is_some, own / np.where(is_some, whole[n, here], 1.0), 0.0)
+                    for component, carried in ((n, own), *((X, share * whole[X, here]) for X in contents)):
+                        change = self._sums(to, carried) - self._sums(source[body == i], carried)
+                        u[component] += (change / self._mass)[:, None]
 
     def _contained(self, u: np.ndarray) -> np.ndarray:
         """Integrals over own and halo cells of functions with the values ``u`` at corners, (components,
@@ -355,38 +361,41 @@ class Sharpening:
         """Sums of ``amounts`` over the own cells with the numbers ``cells``, (own cells,)."""
         return np.bincount(cells, amounts, self._halo.count)[: self._halo.cells]
 
-    def _received(self, cells: np.ndarray, amounts: np.ndarray) -> np.ndarray:
-        """``_sums`` of own cells, and of halo cells by the ranks that own them, (cells,)."""
-        return self._halo.with_others(self._sums(cells, amounts))
+    def _received(self, body: np.ndarray | int, cells: np.ndarray, amounts: np.ndarray) -> np.ndarray:
+        """Sums of ``amounts`` of the bodies with the numbers ``body`` over own cells, and over halo cells by
+        the ranks that own them, (bodies, cells)."""
+        count = len(self._amounts)
+        sums = np.bincount((cells * count + body).ravel(), amounts.ravel(), self._halo.count * count)
+        return self._halo.with_others(sums.reshape(-1, count)[: self._halo.cells]).T
 
-    def _within(self, u: np.ndarray, i: int, j: int, pair: np.ndarray) -> np.ndarray:
-        """Separate bodies i and j by planes in cells of the mask ``pair``, in place; return the numbers of
-        the cells with an interface."""
-        means = self._means(u)
-        if self._distances is not None:
-            chosen = np.flatnonzero(pair)
-            slope = self._projected(u, i, j)[chosen]
-        else:
-            height = self._behind(u, i)
-            chosen = np.flatnonzero(pair & (np.ptp(height, axis=1) > 0))
-            height = height[chosen]
-            doubled = (np.column_stack([height, height[:, c]]) for c in range(self.dim + 1))
-            slope = np.stack([share_above(heights) for heights in doubled], axis=1)
-        slope -= (slope * self._masses[chosen]).sum(axis=1, keepdims=True) / self._mass[chosen, None]
-        slope *= self.dim + 2  # the projection's factor; the bound below scales the slope to 0.6 or less
-        both = means[self._amounts][[i, j]][:, chosen].sum(axis=0)
-        deviation = np.zeros((len(self._amounts), *slope.shape))  # traces of other bodies have no slope
-        deviation[i], deviation[j] = both[:, None] * slope, -both[:, None] * slope
-        self._deviate(u, chosen, deviation)
-        return chosen
+    def _within(self, u: np.ndarray, pairs: dict[tuple[int, int], np.ndarray]) -> np.ndarray:
+        """Separate the bodies of each pair by planes, in place; return a mask of cells with interfaces."""
+        means, is_apart = self._means(u), np.zeros(len(self._mass), dtype=bool)
+        deviation = np.zeros_like(u[self._amounts])  # traces of other bodies have no slope
+        for (i, j), pair in pairs.items():
+            if self._distances is not None:
+                chosen = np.flatnonzero(pair)
+                slope = self._projected(u, i, j)[chosen]
+            else:
+                height = self._behind(u, i, j)
+                chosen = np.flatnonzero(pair & (np.ptp(height, axis=1) > 0))
+                doubled = (np.insert(height, c, height[:, c], axis=1)[chosen] for c in range(self.dim + 1))
+                slope = np.stack([share_above(heights) for heights in doubled], axis=1)
+            slope -= (slope * self._masses[chosen]).sum(axis=1, keepdims=True) / self._mass[chosen, None]
+            # the projection's factor; ``_deviate`` scales the slope to 0.6 or less
+            slope *= (self.dim + 2) * means[self._amounts][[i, j]][:, chosen].sum(axis=0)[:, None]
+            deviation[i, chosen] += slope
+            deviation[j, chosen] -= slope
+            is_apart[chosen] = True
+        chosen = np.flatnonzero(is_apart)
+        self._deviate(u, chosen, deviation[:, chosen])
+        return is_apart
 
     def _projected(self, u: np.ndarray, i: int, j: int) -> np.ndarray:
         """Integrals of (dim + 1) lambda over body i's part of a cell within the outline, divided by the
         cell's size, (cells, corners)."""
-        theta = self._fraction(u, i)
-        lines, cut = self._lines(theta, i, j, at_start=False)
-        result = np.repeat(theta[:, None], self.dim + 1, axis=1)
-        result[cut] = lines.projected()
+        lines, result = self._lines(u, i, j, at_start=False)
+        result[lines.cells] = lines.projected()
         return result
 
     def _bound(self, u: np.ndarray, cells: np.ndarray) -> None:
