@@ -43,7 +43,6 @@ MAX_OPERATIONS = 5000
 power."""
 _LARGEST_WHOLE_POWER = 16
 
-COORDINATES = ("x", "y", "z")
 CONSTANTS = {"pi": math.pi}
 _SYMBOLS: dict[str, Evaluated] = {"x": ngsolve.x, "y": ngsolve.y, "z": ngsolve.z, "t": time, **CONSTANTS}
 NAMES = tuple(_SYMBOLS)

@@ -79,14 +79,11 @@ _PLANES = 2
 _ROUNDING = 1e-12
 """An amount below this share of a cell's amounts counts as rounding, whose sign must have no effect."""
 FAR = 0.7
-"""Largest strip that a step may sweep at an interface, in heights of its cell. After one turn the error of a
-disc, relative to its area, is 0.051, 0.071, 0.166 and 0.221 if the largest strip has 0.47, 0.59, 0.78 and
-0.94 of its cell's height."""
+"""Largest strip that a step may sweep at an interface, in heights of its cell (errors: FORMULATION.md)."""
 
 
 _Moves: TypeAlias = list[tuple[int, int, np.ndarray, np.ndarray]]
-"""Exchanges between cells: bodies i and j, cells, (2, moves), and amounts that the first cells give of body i
-for as much of body j from the second cells, (moves,)."""
+"""Bodies i, j; cells, (2, moves); amounts, (moves,), of i that the first cells give for as much of j."""
 
 
 class Sharpening:
@@ -150,8 +147,7 @@ class Sharpening:
             flux += share * np.take_along_axis(out, self._sides, axis=1)
 
     def end(self, weights: np.ndarray) -> None:
-        """Accept the step; warn, once, if the step carried an interface too far for the planes at the
-        start."""
+        """Accept the step; warn, once, if it carried an interface too far for the planes at the start."""
         if self.swept > FAR and not self._is_said:
             self._is_said = True
             longest = 0.9 * FAR / self.swept * self._tau
@@ -212,10 +208,10 @@ class Sharpening:
 
     def _behind(self, u: np.ndarray, i: int, j: int) -> np.ndarray:
         """Values at corners, (cells, corners), of linear functions that are > 0 in body i's part of a cell,
-        and < 0 in body j's part, which a plane bounds; 0 in cells without an interface.
+        and < 0 in body j's part; 0 in cells without an interface.  If i and j change places, signs change.
 
         The first normals are slopes of averaged differences of the fractions, the second ones of averaged
-        distances from the first planes. If i and j change places, the functions change their sign.
+        distances from the first planes.
         """
         amounts, (theta, is_shared) = u[self._amounts], self._shared_by(u, i, j)
         values = np.clip(0.5 + 0.5 * (amounts[i] - amounts[j]) / amounts.sum(axis=0), 0, 1)
@@ -296,8 +292,7 @@ class Sharpening:
         return lines, np.repeat(theta[:, None], self.dim + 1, axis=1)
 
     def _between(self, u: np.ndarray, pairs: dict[tuple[int, int], np.ndarray], strips: np.ndarray) -> None:
-        """Exchange the fluxes' defects between cells of each pair of bodies, in place; all pairs together, so
-        that the order of the bodies does not matter."""
+        """Exchange the fluxes' defects between cells, in place; all pairs together, in any order."""
         moves, across = _Moves(), len(self._halo.beside)
         for (i, j), here in pairs.items():
             pair = self._halo.with_others(here.astype(float)) > 0
@@ -327,9 +322,8 @@ class Sharpening:
         self._exchange(u, moves, 1)
 
     def _exchange(self, u: np.ndarray, moves: _Moves, passes: int) -> None:
-        """Make the ``moves`` in place, as far as the cells have the amounts; each further pass moves what the
-        passes before it have held back. In exchange for matter that fills up a negative amount a cell gives
-        matter with the cell's X/n."""
+        """Make the ``moves`` in place, as far as cells have the amounts; a further pass moves what was held
+        back. In exchange for matter that fills up a negative amount a cell gives matter with its X/n."""
         body = np.concatenate([np.repeat([[i], [j]], len(part), axis=1) for i, j, _, part in moves], axis=1)
         source, wanted = (np.concatenate(parts, axis=-1) for parts in list(zip(*moves, strict=True))[2:])
         target = source[::-1]
@@ -425,8 +419,6 @@ class Sharpening:
                 B = quotients(carried[n], carried[contents], carried[self._amounts].sum(axis=0).mean(axis=1))
                 B += ((means[contents][:, some] - (B * weights).sum(axis=2)) / means[n, some])[..., None]
                 u[np.ix_(contents, cells[some])] = amounts[some] * B
-
-    # --- arrays of cells, vertices and facets -----------------------------------------------------------
 
     def _of_cells(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Four arrays: numbers of the functions of each cell, (cells, functions); matrices from coefficients

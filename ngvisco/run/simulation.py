@@ -153,7 +153,7 @@ class Simulation(RunState):
         super().__init__(step, time, initial, options, passive)
         self.observers = list(observers)
         self.interruption = Interruption(self)
-        self.self_contact, self.ringing = SelfContact(step, self.ranks), Ringing(step, self.ranks)
+        self.set_time(0.0, 0)
         self._kept = {"mesh", "model", *self.arguments, *_STEPS} - {
             "velocity_scale"
         }  # which a resumed run sets
@@ -200,7 +200,14 @@ class Simulation(RunState):
         self.solver.load_state_dict(*checkpoint.part("solver"))
         self.stepper.load_state_dict(self, *checkpoint.part("stepping"))
         self.ledger.resume(checkpoint.balance, rows, limits)
-        self.ringing = Ringing(self.rothe_step, self.ranks)
+
+    def set_time(self, t: float, number: int) -> None:
+        """Set the number and the time ``t`` (s) of a new present state, as a restart or a transfer does; what
+        the run keeps of earlier steps does not belong to this state."""
+        super().set_time(t, number)
+        self.solver.reset()
+        parts = self.rothe_step, self.ranks
+        self.self_contact, self.ringing = SelfContact(*parts), Ringing(*parts)
 
     def advance(self, stop: float = math.inf) -> dict[str, float]:
         """Take one step and return its row of the ledger; adaptive steps end at ``stop`` (s) at the latest.
@@ -234,7 +241,7 @@ class Simulation(RunState):
                 raise
             self.integrator.accept()
             self.solver.accept()
-            self.set_time(step.time, number)
+            super().set_time(step.time, number)
             self.ledger.check_closure()
             self.tension(self.t)
             self.self_contact(self.t, row["cfl"])

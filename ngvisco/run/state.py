@@ -90,7 +90,7 @@ class RunState:
         self.rothe_step.context.curvature.Set(0.1 * scale / diameter(self.rothe_step.mesh, self.ranks) ** 2)
 
     def set_time(self, t: float, number: int) -> None:
-        """Set the number and the time ``t`` (s) of the present state, as a restart does.
+        """Set the number and the time ``t`` (s) of the present state.
 
         If ``t`` is not a multiple of dt, see ``stepper.begin``.
         """

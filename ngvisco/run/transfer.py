@@ -115,7 +115,6 @@ def transfer(source: Simulation, target: Simulation) -> Transfer:
     new.start_from_old()
     target.stepper.begin(source.t, 0)
     target.set_velocity_scale(source.velocity_scale)
-    target.solver.reset()
     ledger = target.ledger
     ledger.rows, ledger.balance = [], None
     ledger.keep([TRANSFER])

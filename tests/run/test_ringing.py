@@ -52,12 +52,13 @@ def test_a_resolved_vibration_does_not_warn() -> None:
         run.run(0.08)
 
 
-def test_a_restored_run_counts_anew(tmp_path) -> None:
+@pytest.mark.parametrize("goes_on", [nv.Simulation.restore, nv.resume_changed])
+def test_a_restored_run_counts_anew(tmp_path, goes_on) -> None:
     file = tmp_path / "states.h5"
     run = _ring(startup=0)
     run.observers.append(nv.Checkpoints(file))
     with pytest.warns(nv.RingingWarning):
         run.run(1.5)
-    run.restore(file)
+    goes_on(run, file)
     with pytest.warns(nv.RingingWarning):
         run.run(2.8)
