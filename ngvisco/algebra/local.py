@@ -168,7 +168,7 @@ class LocalMatrix:
             first, count = self.local * self._first, self.local * self.cells
             local = parts[:, first : first + count].reshape(len(parts), self.cells, self.local)
         else:
-            local = parts[:, self.unknowns]
+            local = np.take(parts, self.unknowns, axis=1)  # faster than an index
         np.matmul(local.transpose(1, 0, 2), self.nodal, out=nodes.transpose(1, 0, 2))
         return nodes.reshape(*rows.shape[:-1], *nodes.shape[1:])
 

@@ -49,7 +49,7 @@ class CellBlocks:
     def _beside(self, x: np.ndarray) -> np.ndarray:
         """The neighbours' values side by side, (cells, sides q, n), from values (cells, q, n)."""
         neighbours = self._coupling.neighbours
-        beside = self._coupling.halo.with_others(x)[neighbours]
+        beside = np.take(self._coupling.halo.with_others(x), neighbours, axis=0)
         return beside.reshape(len(neighbours), neighbours.shape[1] * x.shape[1], x.shape[2])
 
 
