@@ -112,9 +112,10 @@ class Damaged(Wrapper):
     reference area, and a crack from before the stretch keeps (1 + 1/lambda^2)/2 of its energy.  With
     ``area="reference"`` x and l are lengths of the body at its start, G_c is per reference area, and the
     crack keeps its energy; the body then also carries its distortion since the start.  Without healing d
-    never falls at a point of the matter.  Raises ParameterError if a parameter is out of its range, if the
-    material has stress at rest, an energy without an expression, or no volume that defines compression, or
-    for ``"reference"`` with a material of small strain, which has one area.
+    falls only by errors of transport, where matter moves through the mesh.  Raises ParameterError if a
+    parameter is out of its range, if the material has stress at rest, an energy without an expression, or no
+    volume that defines compression, or for ``"reference"`` with a material of small strain, which has one
+    area.
 
     Example::
 
