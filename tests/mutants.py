@@ -1020,6 +1020,12 @@ MUTANTS = [
     *_of(
         "forms/cut_strains.py",
         (
+            "quotients at corners with a negative amount",
+            "np.where(amount > 0, X, 0.0)",
+            "X",
+            SHARP + "test_a_body_without_stress_stays_in_translation",
+        ),
+        (
             "energy of restored determinants",
             "share = min(1.0, falls / rises)",
             "share = min(1.0, 1.0)",
@@ -1045,6 +1051,12 @@ MUTANTS = [
             "if len(pairs) > 1 or is_passed.any():",
             "if False:",
             SHARP + "test_fractions_of_three_bodies_in_a_cell_are_bounded",
+        ),
+        (
+            "tensors where an amount vanishes",
+            "= means[contents][..., None]",
+            "= u[np.ix_(contents, cells)]",
+            SHARP + "test_a_body_without_stress_stays_in_translation",
         ),
         (
             "planes that do not depend on the order of bodies",

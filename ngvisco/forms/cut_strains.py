@@ -24,13 +24,13 @@ _LEAST_DET = 0.05
 def quotients(amount: np.ndarray, X: np.ndarray, total: np.ndarray) -> np.ndarray:
     """Linear B, values at corners of cells, (components, cells, corners): X/n projected with the weight n.
 
-    ``amount`` has the values of n, (cells, corners), and ``X`` those of its tensors. B stays bounded where n
-    vanishes, because a trace of the mean amount of all matter, ``total``, (cells,), is added with the mean of
-    X/n.
+    ``amount`` has the values of n, (cells, corners), and ``X`` those of its tensors; corners with n < 0 are
+    left out. B stays bounded where n vanishes, because a trace of the mean amount of all matter, ``total``,
+    (cells,), is added with the mean of X/n.  If X is n times a constant, B is this constant.
     """
     trace, one = LEAST * total, np.eye(amount.shape[1])
-    amount = np.maximum(amount, 0.0) + trace[:, None]
-    X = X + (trace / amount.mean(axis=1) * X.mean(axis=2))[..., None]
+    X, amount = np.where(amount > 0, X, 0.0), np.maximum(amount, 0.0) + trace[:, None]
+    X = X + (trace / np.maximum(amount.mean(axis=1) - trace, LEAST * trace) * X.mean(axis=2))[..., None]
     powers = one[:, None] + one, one[:, None, None] + one[:, None] + one
     pairs, triples = (np.prod(factorial(of), axis=-1) for of in powers)  # integrals of products of lambda
     matrices = np.einsum("kc,abc->kab", amount, triples) / (len(one) + 2)

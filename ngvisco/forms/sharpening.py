@@ -347,8 +347,7 @@ class Sharpening:
                         u[component] += (change / self._mass)[:, None]
 
     def _contained(self, u: np.ndarray) -> np.ndarray:
-        """Integrals over own and halo cells of functions with the values ``u`` at corners, (components,
-        cells)."""
+        """Integrals over own and halo cells of functions with corner values ``u``, (components, cells)."""
         return self._halo.with_others((self._means(u) * self._mass).T).T
 
     def _sums(self, cells: np.ndarray, amounts: np.ndarray) -> np.ndarray:
@@ -412,6 +411,7 @@ class Sharpening:
         deviation = np.minimum(1.0, most.min(axis=(0, 2)))[:, None] * deviation
         for n, contents, amounts in zip(self._amounts, self._contents, even + deviation, strict=True):
             u[n, cells] = amounts
+            u[np.ix_(contents, cells)] = means[contents][..., None]  # where n vanishes, X has no slope
             some = means[n] > NO_INTERFACE * size  # avoids quotients of two rounding errors
             if contents and some.any():
                 weights = self._masses[cells[some]] * amounts[some] / self._mass[cells[some], None]
