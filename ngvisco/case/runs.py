@@ -133,18 +133,18 @@ def resume(
         new = changed(place, case, settings) if settings else case
         notes = [f"resume: {new.sections.title or new.source}"]
         with _noting_warnings(notes.append):
-            simulation = new.simulation(_mesh_of_first(new, ranks, place.present_mesh))
+            run = new.simulation(_mesh_of_first(new, ranks, place.present_mesh))
             # a change without a checkpoint is replaced
             before = ranks.on_first(lambda: _pending_change(place, case)) or case.hash
-            notes += _go_on(place, new, simulation, before)
+            notes += _go_on(place, new, run, before)
         if new.resolved != case.resolved:
-            _check_times(new, simulation, until)  # errors come before anything is written
-            change = {"step": simulation.number, "time": simulation.t, "settings": list(settings)}
-            change |= {"from": before, "to": new.hash}
+            _check_times(new, run, until)  # errors come before anything is written
+            of_run = {"step": run.number, "time": run.t, "settings": list(settings)}
+            change = of_run | {"from": before, "to": new.hash}
             ranks.on_first(lambda: _write_change(place, case, new, change))
         if before != new.hash:
             notes.append(f"changed: {', '.join(place.read_versions()['changes'][-1]['settings'])}")
-        return _go(place, new, simulation, until, observers, notes)
+        return _go(place, new, run, until, observers, notes)
 
 
 def _go(
@@ -237,21 +237,19 @@ def _mesh_of_first(case: Case, ranks: Communicator, make: Callable[[], Mesh]) ->
         return distributed(meshes[0] if meshes else None, ranks)
 
 
-def _check_times(
-    case: Case, simulation: Simulation, until: float | None = None, *, is_new: bool = False
-) -> None:
+def _check_times(case: Case, run: Simulation, until: float | None = None, *, is_new: bool = False) -> None:
     """Raise ParameterError for an end at which no step ends, or that the run has already reached. Raise
     CaseError instead if the end time is the end time of the case. The end of a new run is later than its
     start.
 
     The case's end time is also checked beside a given end, so that the run can be resumed without one."""
-    end = case.until if until is None else simulation.stepper.met(until)
+    end = case.until if until is None else run.stepper.met(until)
     with contextlib.nullcontext() if until is not None else case.locator.located("time"):
-        if simulation.t > end * (1 + 1e-12) or (is_new and simulation.t >= end * (1 - 1e-12)):
-            expected = f"a time after t = {simulation.t:g} s, which the run has already reached"
+        if run.t > end * (1 + 1e-12) or (is_new and run.t >= end * (1 - 1e-12)):
+            expected = f"a time after t = {run.t:g} s, which the run has already reached"
             raise ParameterError("until", end, expected)
-        simulation.stepper.check("until", end)
-    case.check_end(simulation)
+        run.stepper.check("until", end)
+    case.check_end(run)
 
 
 def changed(place: RunDirectory, case: Case, settings: Sequence[str]) -> Case:

@@ -31,12 +31,10 @@ from ngvisco.parallel.petsc import PETScInverse
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.problem import BlockNorm, NewtonIteration, Problem, Solution, Status, unconverged
 
-NOISE_SAMPLES, NOISE_MARGIN, NOISE_CAP = 2, 10.0, 100.0
-"""Number of perturbations of the state by which the noise is measured; margin; and cap, in tolerances. The
-noise is the largest change of the increment under these perturbations. A stalled increment is accepted if it
-is below two limits. One limit is the margin times the noise; the margin is needed because increment and noise
-are random. The other limit is the cap, for the norm with the coarse floor: in this norm a velocity that comes
-to rest counts by the strain that it makes."""
+NOISE_CAP = 100.0
+"""Cap of an increment that is rounding, in tolerances. A stalled increment is accepted if it is below
+``NOISE_MARGIN`` times the noise, and below the cap in the norm with the coarse floor: in this norm a velocity
+that comes to rest counts by the strain that it makes."""
 NEAR = 10.0
 """A stalled increment below this number of tolerances is accepted without a measurement of the noise: the
 rounding of a stiff pressure may change a slow velocity by as much."""
@@ -191,7 +189,7 @@ class Newton:
             return Solution(status, tuple(history))
         if status is Status.NOT_FINITE:
             return Solution(status, (), "the residual at the start of the step is not finite")
-        return unconverged(status, history, "Newton", self.options.tolerance, "a smaller step")
+        return unconverged(status, history, "Newton", self.options.tolerance)
 
     def _iterate(self, problem: Problem, history: list[NewtonIteration]) -> Status:
         options, u = self.options, self.state
@@ -291,12 +289,12 @@ class Newton:
         if not coarse <= NOISE_CAP * tolerance:
             return False
         size = self.norm(self._next, self.state)
-        return size <= NEAR * tolerance or size <= NOISE_MARGIN * self._noise()
+        return size <= NEAR * tolerance or size <= self._noise()
 
     def _stalled(self) -> Status:
         """The status of an iteration that ends because no step length reduces the present increment."""
         self._trial_residual.data = self._residual
-        if not self.norm(self._increment, self.state) <= NOISE_MARGIN * self._noise():
+        if not self.norm(self._increment, self.state) <= self._noise():
             return Status.STALLED
         coarse = self.norm(self._increment, self.state, coarse=True)
         return Status.CONVERGED if coarse <= NOISE_CAP * self.options.tolerance else Status.ROUNDING
@@ -308,20 +306,14 @@ class Newton:
         wrong derivative, a fold or a kink of the equations does not enlarge the noise, because increments
         caused by these do not change with the rounding.
         """
-        u = self.state
-        kept, rows, change = (u.CreateVector() for _ in range(3))
-        values = u.FV().NumPy()
-        kept.data = u
-        signs = np.random.default_rng(0)  # a repeated run gets the same bits
-        largest = 0.0
-        for _ in range(NOISE_SAMPLES):
-            change_of = signs.choice((-1.0, 1.0), len(values))
-            values *= 1 + np.finfo(float).eps * self.exchange.of_owners(change_of)
+        rows, change = (self.state.CreateVector() for _ in range(2))
+
+        def size() -> float:
             self.update()
-            self.form.Apply(u, rows)
-            rows.data -= self._trial_residual
-            self.jacobian.solve(rows, change)
-            u.data = kept
-            largest = max(largest, self.norm(change, u))
+            self.form.Apply(self.state, rows)
+            self.jacobian.solve((rows - self._trial_residual).Evaluate(), change)
+            return self.norm(change, self.state)
+
+        largest = self.norm.noise(self.state, self.exchange, size)
         self.update_stored()
         return largest

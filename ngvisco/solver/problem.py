@@ -19,7 +19,7 @@ entropy, also counts by itself. f is ``FLOOR`` and s is ``SHARE``; a stalled ite
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
@@ -30,6 +30,9 @@ from ngsolve import BaseVector
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
 
+NOISE_SAMPLES, NOISE_MARGIN = 2, 10.0
+"""Number of perturbations of the state by which the noise is measured, and margin of a comparison with the
+noise, because increment and noise are random."""
 FLOOR = 1e-9
 """The floor f of the norm, so small that the iteration also resolves small strains and velocities, as the
 ledger requires."""
@@ -91,6 +94,17 @@ class BlockNorm:
         # NumPy's maximum of NaN is NaN; Python's may be a number
         return float(np.max(sizes)), float(turned)
 
+    def noise(self, state: BaseVector, exchange: Exchange, change: Callable[[], float]) -> float:
+        """Return ``NOISE_MARGIN`` times the largest ``change`` of an increment if all numbers of the state
+        change in their last place.  The state is kept."""
+        values, sizes = state.FV().NumPy(), list[float]()
+        kept, signs = values.copy(), np.random.default_rng(0)  # a repeated run gets the same bits
+        for _ in range(NOISE_SAMPLES):
+            values *= 1 + np.finfo(float).eps * exchange.of_owners(signs.choice((-1.0, 1.0), len(values)))
+            sizes.append(change())
+            values[:] = kept
+        return NOISE_MARGIN * max(sizes)
+
 
 class Status(Enum):
     """The way an attempt ended, in words."""
@@ -130,15 +144,13 @@ class Solution:
         return self.status is Status.CONVERGED
 
 
-def unconverged(
-    status: Status, history: Sequence[NewtonIteration], solver: str, tolerance: float, remedy: str
-) -> Solution:
-    """The ``Solution`` of a failed attempt, whose increments stayed above ``tolerance``."""
+def unconverged(status: Status, history: Sequence[NewtonIteration], name: str, tolerance: float) -> Solution:
+    """The ``Solution`` of a failed attempt of the solver ``name``: increments stayed above ``tolerance``."""
     last = history[-1].increment if history else np.inf
     iterations = f"{len(history)} iteration{'s' * (len(history) != 1)}"
     ended = f"{status.value}; after {iterations} the increment is {last:.1e}, the tolerance {tolerance:.0e}"
-    advice = "shorter steps have a larger rounding error" if status is Status.ROUNDING else f"take {remedy}"
-    return Solution(status, tuple(history), f"{solver} did not converge ({ended}); {advice}")
+    remedy = "a larger solver.tolerance or density" if status is Status.ROUNDING else "a smaller step"
+    return Solution(status, tuple(history), f"{name} did not converge ({ended}); take {remedy}")
 
 
 @dataclass(frozen=True)

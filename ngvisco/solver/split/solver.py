@@ -124,6 +124,8 @@ class Split:
             with on_arrays(), np.errstate(all="ignore"):  # a diverging iterate is inf or NaN
                 self.residual.start(records=True)
                 status = (damped if self.damps else iterate)(self, problem, history)
+                if status is Status.STALLED and history[-1].increment <= self._noise():
+                    status = Status.ROUNDING
         except StepError as error:  # a factorisation failed
             return Solution(Status.SINGULAR, tuple(history), str(error))
         except (FloatingPointError, np.linalg.LinAlgError) as error:
@@ -135,7 +137,17 @@ class Split:
             self._relax()  # a run resumed at this state has no strengthened solver either
             return Solution(status, tuple(history))
         tolerance = self.options.split.margin * self.options.tolerance
-        return unconverged(status, history, "the split solver", tolerance, "a smaller step")
+        return unconverged(status, history, "the split solver", tolerance)
+
+    def _noise(self) -> float:
+        """The change of the increment if every number of the state changes in its last place."""
+        rows = self.residual(self.unknowns.pack()).residual.copy()
+
+        def size() -> float:
+            at = self.residual(self.unknowns.pack())
+            return self.size(self.preconditioner(replace(at, residual=at.residual - rows), _LOOSEST))
+
+        return self.norm.noise(self.step.state.vec, self.residual.exchange, size)
 
     def increment(
         self, problem: Problem, x: np.ndarray, at: Evaluation, last: float, expected: float = np.inf
