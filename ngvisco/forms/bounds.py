@@ -5,9 +5,10 @@ corrected by scaling towards the cell's mean (Zhang and Shu, J. Comput. Phys. 22
 
     rho <- rho_K + s (rho - rho_K),     z <- z_K + s (z - z_K),     0 <= s < 1,
 
-z the strains, each with the largest s, up to bisection, for which rho, and all bounds of z, are at least
-``SHARE`` of their values for the means.  Means are taken with the forms' rule, so that mass is kept to
-rounding.  One s for all of z reduces a convex stored energy, by Jensen's inequality for this rule:
+where z are the strains. rho and z have a factor s each: the largest s, found by bisection, with which rho, or
+each bound of z, is at least ``SHARE`` of its value for the means. Means are taken with the forms' rule, so
+that mass is kept to rounding. One s for all of z reduces a convex stored energy, by Jensen's inequality for
+this rule:
 
     int_K phi(z_K + s (z - z_K)) <= s int_K phi(z) + (1 - s) |K| phi(z_K) <= int_K phi(z).
 

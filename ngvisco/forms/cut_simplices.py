@@ -1,13 +1,14 @@
 """Half-spaces that cut simplices: shares of volume, places of planes, and values at the earlier places of
 matter.
 
-A linear function h with values at the vertices of a simplex, of dimension d, is > 0 in the share
+Let a linear function have the values v_i at the vertices of a simplex of dimension d. The function is > 0 in
+the share s of the simplex:
 
     s = sum over the v_i > 0 of v_i^d / prod_{j != i} (v_i - v_j)
 
-of it.  If a vertex is given twice, s becomes the share of the volume with the weight (d + 1) lambda of this
-vertex.  The share of a volume with a linear weight w, as r about an axis, is therefore sum_c w_c s_c / sum_c
-w_c, where s_c has vertex c twice.
+If a vertex is given twice, s is the share of the volume with the weight (d + 1) lambda of this vertex.  With
+a linear weight w, such as r about an axis, the share of the volume is therefore sum_c w_c s_c / sum_c w_c,
+where s_c has vertex c twice.
 """
 
 from __future__ import annotations

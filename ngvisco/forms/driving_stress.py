@@ -2,19 +2,19 @@
 
 Newton's method for z alone linearises rate(M(z)) (paper: ED-Euler-large3) at M(z).  For yield with a small
 viscosity G_m this tangent is right only within |M| G_m of the solution. An increment that turns M by an angle
-a increases |M| by |M| a^2/2, and the rate by |M| a^2/(2 G_m).  With the stress M* as an unknown beside M(z),
+a increases |M| by |M| a^2/2, and the rate by |M| a^2/(2 G_m).  Here M* is a further unknown beside M(z):
 
-    M* + c rate(M*) = Y,   M(z) = M*,   Pi = (Y - M*)/c,
+    M* + c rate(M*) = Y,   M(z) = M*,   Pi = (Y - M*)/c.
 
 M* is a function of Y with a slope of at most one and the curvature of the rule's level sets, however steep
-the rule is (Yosida).  Newton's method for (z, Y) has in the equations of z, with S = rate'(M*),
+the rule is (Yosida).  In the equations of z, Newton's method for (z, Y) has, with S = rate'(M*), the rate
 
-    Pi = rate(M*) + S (M(z) - M*),
+    Pi = rate(M*) + S (M(z) - M*).
 
-and the increment dz gives Y = (M + M' dz) + c (Pi + S M' dz), from which M* follows point by point. The
-solution satisfies Pi = rate(M(z)) for any c > 0, in Pa s; c is tau times the stress per creep strain at rest.
-Where a factor of Pi multiplies S (M(z) - M*), the factor is evaluated at the iterate, so that in the matrix
-of (z, Y) the change of the factor multiplies rate(M*) only.
+The increment dz gives Y = (M + M' dz) + c (Pi + S M' dz), from which M* follows point by point. The solution
+satisfies Pi = rate(M(z)) for any c > 0, in Pa s; c is tau times the stress per creep strain at rest. Where a
+factor of Pi multiplies S (M(z) - M*), the factor is evaluated at the iterate, so that in the matrix of (z, Y)
+the change of the factor multiplies rate(M*) only.
 """
 
 from __future__ import annotations

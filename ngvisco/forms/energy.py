@@ -1,12 +1,12 @@
 """The stored energy phi and its derivative as functions of a step's fields, evaluated here only.
 
 For an energy with an expression, phi and phi' are expressions.  Otherwise (``Material.response``, e.g. a
-Yosida approximation) phi and phi' are computed and stored at the quadrature points.  With the state z_k of
-the stored values,
+Yosida approximation) phi(z_k) and phi'(z_k) are computed for a state z_k, and stored at the quadrature
+points.  The slope is then
 
-    phi(z_k),   slope(z) = phi'(z_k) + phi''(z_k) (z - z_k),
+    slope(z) = phi'(z_k) + phi''(z_k) (z - z_k).
 
-which at z = z_k is the slope with its exact derivative, as a residual and its Jacobian need.  ``refresh``
+At z = z_k, the slope and its derivative are exact, as a residual and its Jacobian need.  ``refresh``
 updates the stored values to the present state and is called before every use. The values depend on z alone,
 so that checkpoints omit them.  Further states (``follow``) have separate values, and sides of cells have
 projections of phi and phi'.

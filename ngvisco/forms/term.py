@@ -1,11 +1,11 @@
 """Terms of the system: integrands in cells and on facets, linear in the test functions.
 
-``cells(u, w)`` and ``facets(u, w)`` are functions of the values at a point: of the unknowns u, of the known
-data there (``u.context``) and of the tests w, in which they are linear.  Integrands are written once, with
-operations that coefficient functions and arrays share (``ngvisco.physics.tensors``).  With trial and test
-functions of NGSolve for u and w they are the term's form.  With arrays of values for u, and tests that only
-record their factors (``ngvisco.physics.arrays.Linear``), the same integrands give the rows of a residual, its
-derivative by a complex increment of u, and columns of element matrices.
+The integrands ``cells(u, w)`` and ``facets(u, w)`` are functions of values at a point: of the unknowns u, of
+the known data (``u.context``), and of the tests w, in which the integrands are linear.  An integrand is
+written once, with operations that coefficient functions and arrays share (``ngvisco.physics.tensors``).  If u
+and w are trial and test functions of NGSolve, the integrands are the term's form.  If u are arrays of values,
+and w are tests that only record their factors (``ngvisco.physics.arrays.Linear``), the integrands give the
+rows of a residual, its derivative by a complex increment of u, and columns of element matrices.
 
 ``u.context.given(value)`` reads a function of place and time at the end of the step, and
 ``u.context.average(value)`` its mean over the step, in cells.

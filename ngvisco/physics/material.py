@@ -214,8 +214,8 @@ class Material(Checked, ABC):
         """Scalars, besides the variables' bounds, that must be > 0 for the energy to have a value, by their
         names in messages; empty by default.
 
-        The set of states where all scalars are positive has to be convex, as with scalars concave in z, so
-        that the set contains all states between two of its states, as a state and its cell's mean.
+        The set of states where all scalars are positive has to be convex, as with scalars that are concave in
+        z.  The set then contains all states between a state and its cell's mean.
         """
         return {}
 

@@ -79,10 +79,10 @@ class CreepMechanism:
 class Model:
     """The material, mechanisms and loads of a run.
 
-    Raises ParameterError if a part is of the wrong type, a flow rule or a viscosity creates energy
-    (``check_rule``, ``check_viscosity``), two loads or two bodies share a name, the energy of a body is not
-    convex per reference volume (``ReferenceEnergy``), the material's list of variables makes no sense, or the
-    law of creep needs a conformation tensor that the material does not have.
+    Raises ParameterError for a part of the wrong type, for a flow rule or a viscosity that creates energy
+    (``check_rule``, ``check_viscosity``), and for two loads or two bodies of one name.  Raises ParameterError
+    also if the energy of a body is not convex per reference volume (``ReferenceEnergy``), if the material's
+    variables do not fit each other, or if the material lacks a conformation tensor that the flow rule needs.
 
     Parameters
     ----------

@@ -3,8 +3,8 @@
 A term on a cell's side reads the cell's z, its conjugates zeta, and facet means (``FacetMean``). A facet mean
 reads z and zeta of both cells, and means that are computed before it. Derivatives are taken by complex
 increments at the points, in all cells at once: along each basis function of the cells, and along each basis
-function of the facets. If a mean is m = sum over both sides of A dz, and the rows of a side change with the
-mean by H dm, the derivative of the side's rows is
+function of the facets. Let a mean change by the sum of A dz over both sides, and the rows of a side by H
+times the change of the mean. The derivative of the side's rows is then
 
     (own + H A) dz + H A(other side) dz(other cell),    summed over the means.
 

@@ -4,18 +4,19 @@ The velocity of a momentum functional satisfies int rho v . w = <m, w> for all w
 these w, the velocity maximises <m, w> - 1/2 int rho |w|^2, and the maximum is E(rho, m).  Prescribed
 coefficients are kept, and on oblique and curved walls (v . n, mu) = 0 for all multipliers mu (paper:
 Euler-small-BC-hyper).  One scalar mass matrix serves all components; conjugate gradients with its diagonal D
-take 30 to 60 iterations on any mesh.  With multipliers the iterations run in the null space of the walls'
-condition C v = 0, by the projection onto this space in the inner product of D (``WallProjection``),
+take 30 to 60 iterations on any mesh.  With multipliers, the iterations run in the null space of the walls'
+condition C v = 0.  The projection onto this space in the inner product of D (``WallProjection``) is
 
     I - D^-1 C^T (C D^-1 C^T)^-1 C.
 
-C D^-1 C^T is not a sum over ranks, since walls of two ranks share vertices and edges.  At shared coefficients
-y = D^-1 C^T lambda is kept as an unknown, so that y and lambda with C y = g are the solution of
+C D^-1 C^T is not a sum over ranks, since walls of two ranks share vertices and edges.  Therefore y = D^-1 C^T
+lambda is kept as an unknown at shared coefficients.  C_s are the columns of C at shared coefficients, and C_i
+all others.  The condition C y = g is then the system
 
-    D y - C_s^T lambda = 0,   C_s y + C_i D_i^-1 C_i^T lambda = g,
+    D y - C_s^T lambda = 0,   C_s y + C_i D_i^-1 C_i^T lambda = g.
 
-with C_s the shared columns and C_i all others: on one process the Schur complement.  The system is factorised
-in units in which D and the rows of C have length one.
+On one process this is the Schur complement.  The system is factorised in units in which D and the rows of C
+have length one.
 """
 
 from __future__ import annotations

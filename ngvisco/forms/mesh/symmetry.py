@@ -1,12 +1,13 @@
 """Symmetry of a mesh of two dimensions: a slab in plane strain, or a body of revolution.
 
-A body of revolution about the line x = 0 that does not swirl is a field of (r, y), r = x, with
+The fields of a body of revolution about the line x = 0 that does not swirl depend on y and r = x alone. With
+the unit vector e around the axis, which is the third direction of tensors, the velocity gradient is
 
-    L = grad v + (v_r/r) e x e,    e the unit vector around the axis, the tensors' third direction,
+    L = grad v + (v_r/r) e x e.
 
-and its integrals, int f r dr dy in cells and int f r ds on facets, are those in 3D divided by 2 pi. The
-scheme is the three-dimensional scheme restricted to such fields: tests w also have the strain w_r/r, and the
-same terms cancel. Quadrature points lie inside cells and facets, where r > 0.
+Integrals are int f r dr dy in cells and int f r ds on facets: the integrals in 3D, divided by 2 pi. The
+scheme is the three-dimensional scheme for such fields: tests w also have the strain w_r/r, and the same terms
+cancel. Quadrature points lie inside cells and facets, where r > 0.
 
 A facet on the axis has no area.  Integrands on a facet of the axis are zero, since v . n = 0 and the trace is
 the cell's value.  Only the equations of the traces keep a positive weight on the axis.

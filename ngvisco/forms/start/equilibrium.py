@@ -10,10 +10,8 @@ datum determines the constant in p.  J is the projected inverse of the bulk law,
 has its own J at the common p.
 
 For k = 1 and m = 0 the cell means of p bear the loads that p bears, as div w is constant in cells.  m = 0
-with another k is refused, because the body would move: constants in cells bear no more than 80, 90 and 95 %
-of the loads on velocities of order two on 2 x 4, 4 x 8 and 8 x 16 cells (in the dual of H1).  In a body 1 m
-high of 2 kg/m^3 with K_e = 50 Pa under 1 m/s^2, velocities were 0.042 m/s with 2 x 4 cells and 0.011 m/s with
-4 x 8, 0.050 m/s without an equilibrium, and 0 with m = 1.
+with another k is refused, because the body would move: on 2 x 4, 4 x 8 and 8 x 16 cells, constants in cells
+bear no more than 80, 90 and 95 % of the loads on velocities of order two (in the dual of H1).
 """
 
 from __future__ import annotations

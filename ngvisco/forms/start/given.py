@@ -74,8 +74,9 @@ def function_field(mesh: Mesh, function: Callable[..., object], order: int = 2) 
     ----------
     mesh : ngsolve.Mesh
     function : callable
-        Function of arrays x, y and in 3D z (m), each of shape (points,), that returns an array of this
-        shape, or a sequence (of sequences) of such arrays for a vector (a matrix).
+        Function of arrays x, y and in 3D z (m), each of shape (points,).  The function returns an array of
+        this shape for a scalar, a sequence of such arrays for a vector, and a sequence of sequences for a
+        matrix.
     order : int
         Order of the polynomials in the cells, 0 to 6; they may jump between cells.
 

@@ -71,9 +71,9 @@ class Network(Material):
     ``plastic_content_slow``. If any branch flows, or m = 0, branches that leave ``elastic_state`` open are by
     B = F F^T. The bulk modulus is the sum of the branches' moduli; K_e = 0 is allowed for branches of small
     strain, ``Referential...``, ``IsochoricNeoHookean``, ``Gent``, ``Ogden``, ``OldroydB`` and ``FENEP``.
-    Raises ParameterError for an invalid name, no branches, a part of the wrong type, a flow rule with a
-    gradient term, a flow rule that needs a conformation tensor which its branch does not have, materials with
-    heat, damage or branches, materials without a common volume, and a network without a bulk modulus.
+    Raises ParameterError for an invalid name, a part of the wrong type, and a network without branches or
+    without a bulk modulus.  Also refused are materials with heat, damage or branches, materials without a
+    common volume, and flow rules with a gradient term or without the conformation tensor that they need.
 
     Example::
 

@@ -155,8 +155,9 @@ class ReferenceEnergy(Material):
 
     If a tensor of phi is a density by its power of J, such as J^{-5/3} F F^T, psi reads J times the tensor.
     Bodies share a point by n psi(X/n, alpha/n) (``ngvisco.physics.mixture``), which is convex if psi is
-    convex.  Raises ParameterError for variables other than J, 1/J, ln J/J, tensors of F times powers of J and
-    parameters, for a material without one of the first three, and for an energy without an expression.
+    convex.  Admissible variables are J, 1/J, ln J/J, tensors of F times powers of J, and parameters.  Raises
+    ParameterError for other variables, for a material without J, 1/J and ln J/J, and for an energy without an
+    expression.
     """
 
     material: Material
