@@ -17,8 +17,8 @@ import numpy as np
 
 from ngvisco.physics.bodies import NO_INTERFACE
 
-_HALVINGS = 45
-"""Number of bisections that determine the place of a plane to rounding."""
+_STEPS = 20
+"""Number of steps of the regula falsi (Illinois) that determine the place of a plane to rounding."""
 _APART = 1e-6
 """Spacing by which equal values at the vertices of a simplex are made different, relative to the range of the
 values."""
@@ -61,11 +61,16 @@ def level(heights: np.ndarray, theta: np.ndarray, weights: np.ndarray | None = N
     weights = None if weights is None else weights[cut]
     sizes = np.ones(heights.shape[:2]) if weights is None else weights.mean(axis=2)
     sizes = sizes / sizes.sum(axis=1, keepdims=True)
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        is_more = (share_above(heights - middle[:, None, None], weights) * sizes).sum(axis=1) > theta
+    above, below, was_more, middle = 1 - theta, -theta, theta > 1, low
+    for _ in range(_STEPS):
+        middle = low + above / (above - below) * (high - low)
+        excess = (share_above(heights - middle[:, None, None], weights) * sizes).sum(axis=1) - theta
+        is_more = excess > 0
         low, high = np.where(is_more, middle, low), np.where(is_more, high, middle)
-    result[cut] = 0.5 * (low + high)
+        kept = np.where(is_more == was_more, 0.5, 1.0)  # else one end would stay where the share is curved
+        above, below = np.where(is_more, excess, kept * above), np.where(is_more, kept * below, excess)
+        was_more = is_more
+    result[cut] = middle
     return result
 
 
