@@ -61,15 +61,14 @@ def level(heights: np.ndarray, theta: np.ndarray, weights: np.ndarray | None = N
     weights = None if weights is None else weights[cut]
     sizes = np.ones(heights.shape[:2]) if weights is None else weights.mean(axis=2)
     sizes = sizes / sizes.sum(axis=1, keepdims=True)
-    above, below, was_more, middle = 1 - theta, -theta, theta > 1, low
+    above, below, is_more = 1 - theta, -theta, theta > 1
     for _ in range(_STEPS):
         middle = low + above / (above - below) * (high - low)
         excess = (share_above(heights - middle[:, None, None], weights) * sizes).sum(axis=1) - theta
-        is_more = excess > 0
+        was_more, is_more = is_more, excess > 0
         low, high = np.where(is_more, middle, low), np.where(is_more, high, middle)
         kept = np.where(is_more == was_more, 0.5, 1.0)  # else one end would stay where the share is curved
         above, below = np.where(is_more, excess, kept * above), np.where(is_more, kept * below, excess)
-        was_more = is_more
     result[cut] = middle
     return result
 

@@ -56,11 +56,11 @@ class LevelLines:
         theta: np.ndarray,
         radii: np.ndarray | None = None,
     ) -> None:
-        phi = phi / specialcf.mesh_size  # relative to each cell, as ``share_above`` expects
-        self._mesh, self._phi, self.cells = mesh, phi, cells
+        # distances relative to each cell, as ``share_above`` expects
+        self._mesh, self._phi, self.cells = mesh, phi / specialcf.mesh_size, cells
         corners, self._pieces = subdivision(2, _PIECES)
         self._lambdas = barycentric(corners)
-        values = Places(mesh, cells, corners).values(phi).reshape(len(cells), len(corners))
+        values = Places(mesh, cells, corners).values(self._phi).reshape(len(cells), len(corners))
         weights = None if radii is None else (radii @ self._lambdas.T)[:, self._pieces]
         self._level = level(values[:, self._pieces], theta, weights)
         self._values = (values - self._level[:, None])[:, self._pieces]
@@ -80,8 +80,7 @@ class LevelLines:
         """
         s = np.linspace(0, 1, _PIECES + 1)
         along, back = (of[..., None] for of in np.meshgrid(s, s, indexing="ij"))
-        sides = zip(_sides(ends), _sides(starts), strict=True)
-        corner = [(1 - back) * end + back * start for end, start in sides]
+        corner = [(1 - back) * ends[:, None, None, c] + back * starts[:, None, None, c] for c in (0, 1)]
         lambdas = (1 - along) * corner[0] + along * corner[1]
         reference = lambdas @ np.array(VERTICES[ET.TRIG])[:, :2]
         points = mesh_points(self._mesh, np.repeat(self.cells, (_PIECES + 1) ** 2), reference.reshape(-1, 2))
@@ -103,10 +102,6 @@ def barycentric(points: np.ndarray) -> np.ndarray:
     (points, 3)."""
     matrix = np.column_stack([np.array(VERTICES[ET.TRIG])[:, :2], np.ones(3)])
     return np.asarray(np.column_stack([points, np.ones(len(points))]) @ np.linalg.inv(matrix))
-
-
-def _sides(of_corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return of_corners[:, None, None, 0], of_corners[:, None, None, 1]
 
 
 def _triangles(values: np.ndarray) -> np.ndarray:
