@@ -411,7 +411,7 @@ class Sharpening:
         deviation = np.minimum(1.0, most.min(axis=(0, 2)))[:, None] * deviation
         for n, contents, amounts in zip(self._amounts, self._contents, even + deviation, strict=True):
             u[n, cells] = amounts
-            u[np.ix_(contents, cells)] = means[contents][..., None]  # where n vanishes, X has no slope
+            u[np.array(contents, int)[:, None], cells] = means[contents][..., None]  # no slope where n = 0
             some = means[n] > NO_INTERFACE * size  # avoids quotients of two rounding errors
             if contents and some.any():
                 weights = self._masses[cells[some]] * amounts[some] / self._mass[cells[some], None]

@@ -320,13 +320,13 @@ def _parasitic(
         inside = (x - 0.3 - off / cells) * (0.7 + off / cells - x)
         q = float(max(np.roots([1.0, 0.0, -(stretch**2), -1.0]).real))
         a, b, c = (IfPos(inside, s**0.5, 1.0) for s in (q, q + stretch, q - stretch))
-        both = {"density": 1.0, "viscosity": stokes(G_v)}
-        solid = nv.ReferentialNeoHookean(K_e=10.0, G_e=G_BLOCK)
-        block = nv.Body(name="block", where=inside, material=solid, **both)
+        solid, viscous = nv.ReferentialNeoHookean(K_e=10.0, G_e=G_BLOCK), stokes(G_v)
+        block = nv.Body(name="block", where=inside, material=solid, viscosity=viscous, density=1.0)
+        air = nv.Body(name="air", material=fluid(10.0), viscosity=viscous, density=1.0)
         is_sharp, wind = interfaces != "fractions", (speed, 0.0)
         run = nv.Simulation(
             structured_box((1, 0.2), (cells, cells // 5)),
-            nv.Model(bodies=(block, nv.Body(name="air", material=fluid(10.0), **both))),
+            nv.Model(bodies=(block, air)),
             time=nv.TimeSteps(dt=0.2 / cells, scheme="midpoint", velocity_scale=1.0),
             initial=nv.Initial(velocity=wind, F=CF((a, 0, 0, 0, b, 0, 0, 0, c), dims=(3, 3))),
             walls={"left": nv.Inflow(velocity=wind), "right": nv.Open()} if speed else {},
