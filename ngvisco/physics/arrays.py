@@ -156,10 +156,7 @@ class Array(_Node):
         other = _array(other)
         if len(self.shape) != len(other.shape):
             raise TypeError("a scalar, a vector and a tensor cannot be added to each other")
-        value = operation(self.value, other.value)
-        if self.is_constant and other.is_constant:
-            return Array(value, None)
-        return Array(value, [(self, _same), (other, pull)])
+        return Array(operation(self.value, other.value), [(self, _same), (other, pull)])
 
     def __mul__(self, other: Any) -> Array:
         if isinstance(other, Linear):
@@ -167,8 +164,6 @@ class Array(_Node):
         a, b = self, _array(other)
         left, right, out = subscripts(a.shape, b.shape)
         value = product(left, right, out, a.value, b.value)
-        if a.is_constant and b.is_constant:
-            return Array(value, None)
         of_a = a, lambda g: product(out, right, left, g, b.value)
         of_b = b, lambda g: product(out, left, right, g, a.value)
         return Array(value, [of_a, of_b])
@@ -205,10 +200,7 @@ class Array(_Node):
         a, b = self, _array(other)
         if a.rank != b.rank:
             raise TypeError("the inner product of a scalar and a tensor is not defined")
-        value = contracted(a.value, b.value)
-        if a.is_constant and b.is_constant:
-            return Array(value, None)
-        return Array(value, [(a, lambda g: g * b.value), (b, lambda g: g * a.value)])
+        return Array(contracted(a.value, b.value), [(a, lambda g: g * b.value), (b, lambda g: g * a.value)])
 
     def log(self) -> Array:
         """The natural logarithm of scalars."""

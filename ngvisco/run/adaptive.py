@@ -54,11 +54,10 @@ class AdaptiveSteps:
     dt_max : float
         Longest step.
     tolerance : float, optional
-        Bound on the error of a step, which the scheme estimates (the ledger's error_estimate): relative for
-        velocity and density, and relative to 1 + |z| for an elastic variable z, whose strains may be far
-        smaller than 1.  For an error of 1 % in strains of 1e-3, the tolerance has to be about 1e-6.  The
-        first steps, one for each order of the scheme, have no estimate and the length ``dt``.  Without a
-        tolerance only steps that are not solved are shortened.
+        Bound on the relative error of a step in velocity, density and elastic strain, which the scheme
+        estimates (the ledger's error_estimate).  The first steps have no estimate, one or two by the order of
+        the scheme, so that dt has to be short.  Without a tolerance only steps that are not solved are
+        shortened.
     patience : int
         Accepted steps in a row after which the length is doubled; has no effect with a tolerance.
     damage_growth : float, optional

@@ -190,11 +190,16 @@ def typical_velocity(step: Step, sampler: Sampler, dt: float) -> float:
     if typical > 0:
         return typical
     # a body at rest has no velocity scale: strains of a tenth are assumed
-    if places:
-        return min(0.1 * max(wave_speed(step, p.state, p.density) for p in places), farthest) or 1.0
-    states = np.asarray(sampler.values(u.z)).reshape(-1, step.layout.states.size)
-    state = np.concatenate(ranks.gathered(states))[0]
-    return min(0.1 * wave_speed(step, state, least), farthest) or 1.0
+    return min(0.1 * fastest_wave(step, sampler), farthest) or 1.0
+
+
+def fastest_wave(step: Step, sampler: Sampler) -> float:
+    """The largest speed of a plane wave at a place of ``extreme_places``, or else at the first point, m/s."""
+    if places := extreme_places(step, sampler):
+        return max(wave_speed(step, p.state, p.density) for p in places)
+    states = np.asarray(sampler.values(step.now.z)).reshape(-1, step.layout.states.size)
+    state = np.concatenate(sampler.ranks.gathered(states))[0]
+    return wave_speed(step, state, sampler.extrema(step.now.rho)[0])
 
 
 def diameter(mesh: Mesh, ranks: Communicator) -> float:

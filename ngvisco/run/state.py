@@ -24,7 +24,7 @@ from ngvisco.run.fields import FieldsByName, output_fields, require_names_of_the
 from ngvisco.run.ledger import Ledger, closure_limit
 from ngvisco.run.passive import CARRIED, PassiveFields
 from ngvisco.run.ranks import Numbering
-from ngvisco.run.scales import diameter, typical_velocity
+from ngvisco.run.scales import diameter, fastest_wave, typical_velocity
 from ngvisco.run.stepping import AdaptiveStepper, TimeSteps
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.rothe import RotheSolver
@@ -62,6 +62,8 @@ class RunState:
         run_time.Set(0.0)  # start values and walls are evaluated at t = 0, also after other runs
         F_0 = set_initial(step, initial, self.sampler)
         self.set_velocity_scale(float(time.velocity_scale or typical_velocity(step, self.sampler, self.dt)))
+        # the start's speed of waves, also if the run is continued from a checkpoint
+        self._wave_speed = fastest_wave(step, self.sampler) if time.adaptive else 0.0
         self.bounds = Bounds(step, self.sampler, time.limiter, time.drift)
         self.solver = RotheSolver(step, options, self.bounds.refusal)
         closed = closure_limit(options.tolerance)
@@ -88,6 +90,11 @@ class RunState:
         """Set the velocity scale, m/s, and from it the curvature of v in the penalty's weight."""
         self.velocity_scale = scale
         self.rothe_step.context.curvature.Set(0.1 * scale / diameter(self.rothe_step.mesh, self.ranks) ** 2)
+
+    def error_scales(self) -> dict[float | str, float]:
+        """The scales of ``ErrorEstimate``: the velocity scale v_s, m/s, and v_s/c, or 1 without waves."""
+        velocity = self.velocity_scale
+        return {"velocity": velocity, "strain": velocity / self._wave_speed if self._wave_speed else 1.0}
 
     def set_time(self, t: float, number: int) -> None:
         """Set the number and the time ``t`` (s) of the present state.

@@ -195,12 +195,12 @@ class Stepped(Protocol):
     rothe_step: Step
     solver: RotheSolver
     integrator: Integrator
-    velocity_scale: float
 
     @property
     def t(self) -> float: ...
     @property
     def number(self) -> int: ...
+    def error_scales(self) -> Mapping[float | str, float]: ...
 
 
 def _turn(solver: RotheSolver, turned: bool) -> str:
@@ -402,8 +402,7 @@ class AdaptiveStepper:
 
     def _estimate_of(self, run: Stepped) -> ErrorEstimate | None:
         if self._estimate is None and self.options.tolerance is not None:
-            order = run.integrator.scheme.order
-            self._estimate = ErrorEstimate(run.rothe_step, lambda: run.velocity_scale, order)
+            self._estimate = ErrorEstimate(run.rothe_step, run.error_scales, run.integrator.scheme.order)
         return self._estimate
 
     def _length(self, t: float, stop: float) -> tuple[float, float]:

@@ -9,37 +9,54 @@ prod_j (t_n - t_{n-1-j}).  So
 which needs no further solve (for the implicit Euler scheme it is tau/(2 tau + tau_old) times the difference).
 There is no estimate before p + 1 states are known.
 
-The relative error is the largest of |e_u|/(|u| + s_u sqrt(volume)) over the evolving unknowns u, with L2
-norms over the domain.  The scale s_u (``ngvisco.forms.term``) is the run's velocity scale for v, 0 for rho,
-and 1 for z.
+The relative error is the largest of |e_u|/(|u| + s_u sqrt(volume)) over the evolving unknowns u and over the
+variables in z, with L2 norms over the domain.  The scale s_u (``ngvisco.forms.term``) is the run's velocity
+scale v_s for v, and 0 for rho.  For a strain, u is its departure z - z(F = I), and s_u is v_s/c, the strain
+in a wave of the velocity v_s and the speed c.  So small and large strains have the same relative error.  For
+an amount in z, such as the entropy or a body's amount, and for a parameter, s_u is 1.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from ngsolve import CF, FESpace, GridFunction
 
 from ngvisco.forms.system import Step
-from ngvisco.physics.tensors import square
+from ngvisco.physics.tensors import Tensor, square
+from ngvisco.physics.variables import Values
 from ngvisco.timestepping.scheme import TimeScheme
 
 
 class ErrorEstimate:
     """Estimates the error of the last step from stored states, which a checkpoint contains too.
 
-    ``velocity_scale`` returns v_s, m/s; ``order`` is the highest order of a scheme to be estimated.
+    ``scales`` returns v_s, m/s, as "velocity" and v_s/c as "strain"; ``order`` is the highest order of a
+    scheme to be estimated.
     """
 
-    def __init__(self, step: Step, velocity_scale: Callable[[], float], order: int) -> None:
-        self.step, self.velocity_scale = step, velocity_scale
+    def __init__(self, step: Step, scales: Callable[[], Mapping[float | str, float]], order: int) -> None:
+        self.step, self.scales = step, scales
         self._enough = order + 1
         self._times: list[float] = []
         self._states: list[np.ndarray] = []
-        names = step.layout.evolving
+        names, now = step.layout.evolving, step.now.parts
         self._difference = GridFunction(FESpace([step.layout.blocks[name] for name in names]))
-        errors, now = self._difference.components, (step.now.parts[name] for name in names)
-        self._squares = CF((*map(square, errors), *map(square, now), 1.0)).Compile()
+        errors = dict(zip(names, self._difference.components, strict=True))
+        unknowns = [step.layout.unknowns[name] for name in names if name != "z"]
+        pairs = [(errors[u.name], now[u.name]) for u in unknowns]
+        self._scales: list[float | str] = ["velocity" if u.place == "velocity" else u.scale for u in unknowns]
+        self._strains = {v.name for v in step.model.material.variables if v.is_strain and not v.is_conserved}
+        exact, computed = self._counted(now["z"] - errors["z"]), self._counted(now["z"])
+        pairs += [(computed[name] - exact[name], computed[name]) for name in computed]
+        self._scales += ["strain" if name in self._strains else 1.0 for name in computed]
+        self._squares = CF((*(square(part) for pair in pairs for part in pair), 1.0)).Compile()
+
+    def _counted(self, components: Tensor) -> Values:
+        """The variables' values that count, by name: of strains the departure from F = I."""
+        z = self.step.layout.states.tensors(lambda: components)
+        rest = self.step.model.material.at_rest(z)
+        return {name: z[name] - rest[name] if name in self._strains else z[name] for name in z}
 
     def begin(self, time: float) -> None:
         """Begin a step at ``time``, s; if no state of this time is stored, store the present state alone."""
@@ -64,12 +81,10 @@ class ErrorEstimate:
         weight = scheme.error_constant * (time - times[-1]) ** (p + 1)
         extrapolated = sum(w * u for w, u in zip(weights, self._states[-p - 1 :], strict=True))
         self._difference.vec.FV().NumPy()[:] = weight / (weight + missed) * (self._values() - extrapolated)
-        norms = np.sqrt(np.asarray(self.step.quadrature.integrate_cells(self._squares)))
-        unknowns = [self.step.layout.unknowns[name] for name in self.step.layout.evolving]
-        errors, sizes, root_volume = norms[: len(unknowns)], norms[len(unknowns) : -1], norms[-1]
-        scales = [self.velocity_scale() if u.place == "velocity" else u.scale for u in unknowns]
-        wholes = sizes + np.array(scales) * root_volume
-        return float(max(e / s if s > 0 else e for e, s in zip(errors, wholes, strict=True)))
+        *norms, root_volume = np.sqrt(np.asarray(self.step.quadrature.integrate_cells(self._squares)))
+        given = self.scales()
+        wholes = norms[1::2] + root_volume * np.array([given.get(scale, scale) for scale in self._scales])
+        return float(max(e / s if s > 0 else e for e, s in zip(norms[::2], wholes, strict=True)))
 
     def _values(self) -> np.ndarray:
         state, ranges = self.step.state.vec.FV().NumPy(), self.step.layout.ranges
