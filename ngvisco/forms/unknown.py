@@ -6,7 +6,7 @@ from typing import Literal
 
 from ngsolve import CoefficientFunction, FESpace, Mesh
 
-from ngvisco.errors import ParameterError, as_number
+from ngvisco.errors import ParameterError, require_numbers
 from ngvisco.physics.material import StateSpace
 
 SpaceKind = Literal["velocity", "cells", "facets", "normals", "continuous", "walls"]
@@ -68,9 +68,7 @@ class Unknown:
                 f"'cells' or 'continuous' for {self.name!r}, since an evolving unknown needs values in cells"
             )
             raise ParameterError("Unknown.place", self.place, expected)
-        if not (as_number(self.scale) is not None and self.scale >= 0):
-            expected = f"a number >= 0, a typical size of {self.name!r}"
-            raise ParameterError("Unknown.scale", self.scale, expected)
+        require_numbers("Unknown", ">= 0", float, scale=self.scale)
 
     @property
     def shape(self) -> tuple[int, ...]:

@@ -24,10 +24,10 @@ import numpy as np
 from ngsolve import CF, CoefficientFunction
 
 from ngvisco.errors import (
+    Declared,
     NgviscoError,
     NgviscoWarning,
     ParameterError,
-    as_integer,
     require_numbers,
     require_type,
 )
@@ -201,11 +201,8 @@ def _sampling(owner: str, material: Material, dim: int, spread: float, seed: int
     """The sampling of states, after a check of the arguments; raises ParameterError."""
     require_type(f"{owner}.material", material, Material)
     require_numbers(owner, "> 0", float, spread=spread)
-    dimension, number = as_integer(dim), as_integer(seed)
-    if dimension not in (2, 3):
-        raise ParameterError(f"{owner}.dim", dim, "2 or 3")
-    if number is None or number < 0:
-        raise ParameterError(f"{owner}.seed", seed, "an integer >= 0")
+    dimension = Declared("from 2 to 3", (int,)).taken(f"{owner}.dim", dim)
+    number = Declared(">= 0", (int,)).taken(f"{owner}.seed", seed)
     return StateSampling(material, dimension, spread, np.random.default_rng(number))
 
 

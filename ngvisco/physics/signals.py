@@ -15,7 +15,7 @@ import numpy as np
 from ngsolve import CF, BSpline, CoefficientFunction, IfPos, Parameter
 from ngsolve.meshes import MakeStructured2DMesh
 
-from ngvisco.errors import InputWarning, ParameterError, as_number, require_file
+from ngvisco.errors import Declared, InputWarning, ParameterError, require_file
 
 time = Parameter(0.0)
 """Time in seconds, for functions that depend on it; its value is the end of the last step."""
@@ -70,9 +70,7 @@ def step(at: float) -> CoefficientFunction:
 
     Raises ParameterError if ``at`` is not a finite number.
     """
-    if (number := as_number(at)) is None:
-        raise ParameterError("step.at", at, "a finite number, in s")
-    return IfPos(number - time, 0.0, 1.0)
+    return IfPos(Declared("", (float,)).taken("step.at", at) - time, 0.0, 1.0)
 
 
 def pulse(begin: float, duration: float) -> CoefficientFunction:
@@ -80,11 +78,8 @@ def pulse(begin: float, duration: float) -> CoefficientFunction:
 
     Raises ParameterError if ``begin`` is not a finite number, or ``duration`` not a positive number.
     """
-    start, length = as_number(begin), as_number(duration)
-    if start is None:
-        raise ParameterError("pulse.begin", begin, "a finite number, in s")
-    if length is None or length <= 0:
-        raise ParameterError("pulse.duration", duration, "a number > 0, in s")
+    start = Declared("", (float,)).taken("pulse.begin", begin)
+    length = Declared("> 0", (float,)).taken("pulse.duration", duration)
     return step(start) - step(start + length)
 
 

@@ -34,7 +34,7 @@ from typing import ClassVar, Literal, TypeAlias
 
 from ngsolve import CF, Cof, Det, log
 
-from ngvisco.errors import ParameterError, as_number
+from ngvisco.errors import ParameterError, require_numbers
 from ngvisco.physics.tensors import IDENTITY, Tensor, skw, sym, tr
 
 Values = Mapping[str, Tensor]
@@ -164,8 +164,7 @@ class DistortionTensor(Variable):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if as_number(self.exponent) is None:
-            raise ParameterError(f"{type(self).__name__}.exponent", self.exponent, "a finite number")
+        require_numbers(type(self).__name__, "", float, exponent=self.exponent)
 
     @staticmethod
     @abstractmethod

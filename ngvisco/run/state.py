@@ -63,7 +63,7 @@ class RunState:
         F_0 = set_initial(step, initial, self.sampler)
         self.set_velocity_scale(float(time.velocity_scale or typical_velocity(step, self.sampler, self.dt)))
         # the start's speed of waves, also if the run is continued from a checkpoint
-        self._wave_speed = fastest_wave(step, self.sampler) if time.adaptive else 0.0
+        self.wave_speed = fastest_wave(step, self.sampler) if time.adaptive else 0.0
         self.bounds = Bounds(step, self.sampler, time.limiter, time.drift)
         self.solver = RotheSolver(step, options, self.bounds.refusal)
         closed = closure_limit(options.tolerance)
@@ -90,11 +90,6 @@ class RunState:
         """Set the velocity scale, m/s, and from it the curvature of v in the penalty's weight."""
         self.velocity_scale = scale
         self.rothe_step.context.curvature.Set(0.1 * scale / diameter(self.rothe_step.mesh, self.ranks) ** 2)
-
-    def error_scales(self) -> dict[float | str, float]:
-        """The scales of ``ErrorEstimate``: the velocity scale v_s, m/s, and v_s/c, or 1 without waves."""
-        velocity = self.velocity_scale
-        return {"velocity": velocity, "strain": velocity / self._wave_speed if self._wave_speed else 1.0}
 
     def set_time(self, t: float, number: int) -> None:
         """Set the number and the time ``t`` (s) of the present state.

@@ -4,8 +4,8 @@ Fixed.  A step that is not solved is taken in halves, quarters, eighths (``Fixed
 
 Adaptive.  A step is rejected, and its length halved, when Newton fails, or when rho, J (or A) is not positive
 at a sampling point, or when damage grows by more than its bound (``ngvisco.run.adaptive``).  With a
-tolerance, the estimated relative error e of each step (``ngvisco.timestepping.error``) is held below the
-tolerance.  A step with a larger error is rejected and tried again with the length
+tolerance, a step whose estimated relative error e (``ngvisco.timestepping.error``) is larger than the
+tolerance is rejected, and tried again with the length
 
     tau (0.9 tolerance/e)^(1/(p+1)),
 
@@ -14,9 +14,8 @@ p the scheme's order; after an accepted step a PI controller (Gustafsson) sets t
     tau (0.9 tolerance/e)^(0.7/(p+1)) (e_old/(0.9 tolerance))^(0.4/(p+1)),
 
 within a factor of 2.  The length is not changed by less than 10 %, since another length needs a new
-factorisation.  The length does not grow directly after a rejection.  Without a tolerance, or without an
-estimate (the first p steps), the length is doubled after ``patience`` accepted steps.  The energy identity
-holds for any sequence of lengths.
+factorisation.  The length does not grow directly after a rejection.  Without a tolerance, or in the first p
+steps, the length doubles after ``patience`` accepted steps.  The energy identity holds for any lengths.
 """
 
 from __future__ import annotations
@@ -195,12 +194,13 @@ class Stepped(Protocol):
     rothe_step: Step
     solver: RotheSolver
     integrator: Integrator
+    velocity_scale: float
+    wave_speed: float
 
     @property
     def t(self) -> float: ...
     @property
     def number(self) -> int: ...
-    def error_scales(self) -> Mapping[float | str, float]: ...
 
 
 def _turn(solver: RotheSolver, turned: bool) -> str:
@@ -402,7 +402,8 @@ class AdaptiveStepper:
 
     def _estimate_of(self, run: Stepped) -> ErrorEstimate | None:
         if self._estimate is None and self.options.tolerance is not None:
-            self._estimate = ErrorEstimate(run.rothe_step, run.error_scales, run.integrator.scheme.order)
+            order = run.integrator.scheme.order
+            self._estimate = ErrorEstimate(run.rothe_step, lambda: run.velocity_scale, run.wave_speed, order)
         return self._estimate
 
     def _length(self, t: float, stop: float) -> tuple[float, float]:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ngvisco.errors import (
+    Declared,
     ParameterError,
     StepError,
     StopRequested,
@@ -185,8 +186,7 @@ def fit(
     parameters = [Named.of(name, simulation) for name in names]
     measured = _measured(simulation, Data.of(data), factor)
     end = _end(simulation, measured, until)
-    if (ends := as_number(tolerance)) is None or ends <= 0:
-        raise ParameterError("fit.tolerance", tolerance, "a number > 0")
+    ends = Declared("> 0", (float,)).taken("fit.tolerance", tolerance)
     search = _Search(simulation, parameters, measured, sigma, bounds or {}, end, progress)
     simulation.stop_requested = False
     if restart is not None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ngvisco.errors import ParameterError, as_number, as_numbers, require_collection
+from ngvisco.errors import Declared, ParameterError, as_number, as_numbers, require_collection
 
 if TYPE_CHECKING:
     from ngvisco.sensitivity.columns import Columns
@@ -103,8 +103,7 @@ class Misfit:
         if not isinstance(self.data, Mapping) or not self.data:
             raise ParameterError("Misfit.data", self.data, 'a mapping such as {"tip.velocity_1 at 0.5": 0.1}')
         for name, value in self.data.items():
-            if as_number(value) is None:
-                raise ParameterError(f"Misfit.data[{name!r}]", value, "a finite number")
+            Declared("", (float,)).taken(f"Misfit.data[{name!r}]", value)
         expected = "one number > 0, or as many as there are data"
         one = as_number(self.sigma)
         deviations = [one] * len(self.data) if one else as_numbers("Misfit.sigma", self.sigma, expected)

@@ -17,7 +17,7 @@ an amount in z, such as the entropy or a body's amount, and for a parameter, s_u
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 import numpy as np
 from ngsolve import CF, FESpace, GridFunction
@@ -31,26 +31,28 @@ from ngvisco.timestepping.scheme import TimeScheme
 class ErrorEstimate:
     """Estimates the error of the last step from stored states, which a checkpoint contains too.
 
-    ``scales`` returns v_s, m/s, as "velocity" and v_s/c as "strain"; ``order`` is the highest order of a
-    scheme to be estimated.
+    ``speed`` returns v_s, m/s, ``waves`` is c, m/s, or 0 without waves, and ``order`` is the highest order of
+    a scheme to be estimated.
     """
 
-    def __init__(self, step: Step, scales: Callable[[], Mapping[float | str, float]], order: int) -> None:
-        self.step, self.scales = step, scales
-        self._enough = order + 1
+    def __init__(self, step: Step, speed: Callable[[], float], waves: float, order: int) -> None:
+        self.step, self.speed, self._enough = step, speed, order + 1
         self._times: list[float] = []
         self._states: list[np.ndarray] = []
         names, now = step.layout.evolving, step.now.parts
         self._difference = GridFunction(FESpace([step.layout.blocks[name] for name in names]))
         errors = dict(zip(names, self._difference.components, strict=True))
-        unknowns = [step.layout.unknowns[name] for name in names if name != "z"]
-        pairs = [(errors[u.name], now[u.name]) for u in unknowns]
-        self._scales: list[float | str] = ["velocity" if u.place == "velocity" else u.scale for u in unknowns]
         self._strains = {v.name for v in step.model.material.variables if v.is_strain and not v.is_conserved}
         exact, computed = self._counted(now["z"] - errors["z"]), self._counted(now["z"])
+        unknowns = [step.layout.unknowns[name] for name in names if name != "z"]
+        pairs = [(errors[u.name], now[u.name]) for u in unknowns]
         pairs += [(computed[name] - exact[name], computed[name]) for name in computed]
-        self._scales += ["strain" if name in self._strains else 1.0 for name in computed]
         self._squares = CF((*(square(part) for pair in pairs for part in pair), 1.0)).Compile()
+        # each scale is a number and a multiple of v_s
+        of_strain = (0.0, 1 / waves) if waves > 0 else (1.0, 0.0)
+        scales = [(u.scale, float(u.place == "velocity")) for u in unknowns]
+        scales += [of_strain if name in self._strains else (1.0, 0.0) for name in computed]
+        self._scales = np.array(scales)
 
     def _counted(self, components: Tensor) -> Values:
         """The variables' values that count, by name: of strains the departure from F = I."""
@@ -82,8 +84,7 @@ class ErrorEstimate:
         extrapolated = sum(w * u for w, u in zip(weights, self._states[-p - 1 :], strict=True))
         self._difference.vec.FV().NumPy()[:] = weight / (weight + missed) * (self._values() - extrapolated)
         *norms, root_volume = np.sqrt(np.asarray(self.step.quadrature.integrate_cells(self._squares)))
-        given = self.scales()
-        wholes = norms[1::2] + root_volume * np.array([given.get(scale, scale) for scale in self._scales])
+        wholes = norms[1::2] + root_volume * (self._scales @ (1.0, self.speed()))
         return float(max(e / s if s > 0 else e for e, s in zip(norms[::2], wholes, strict=True)))
 
     def _values(self) -> np.ndarray:

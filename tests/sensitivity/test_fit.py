@@ -126,7 +126,7 @@ def test_invalid_tables_of_data_are_refused(tmp_path, text, said):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"tolerance": 0}, "a number > 0"),
+        ({"tolerance": 0}, "a finite number > 0"),
         ({"until": 0.5}, "but the run ends at"),
         ({"sigma": -1.0}, "a standard deviation > 0"),
         ({"by": []}, "at least one parameter"),

@@ -363,7 +363,7 @@ def test_the_estimate_is_the_local_error_of_the_scheme(scheme):
     run = simulation(scheme=scheme)
     chosen, step = run.scheme, run.rothe_step
     p, where = chosen.order, step.layout.ranges["rho"]
-    estimate, unit = ErrorEstimate(step, run.error_scales, p), state(run)[where]
+    estimate, unit = ErrorEstimate(step, lambda: 1.0, 1.0, p), state(run)[where]
     *known, last = (0.0, 0.1, 0.15, 0.3)[-p - 2 :]
     for t in known:
         step.state.vec.FV().NumPy()[where] = unit * (1 + t ** (p + 1))
