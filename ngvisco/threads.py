@@ -75,7 +75,7 @@ _Part = TypeVar("_Part")
 _Result = TypeVar("_Result")
 
 ALONE = RLock()
-"""Lock of the worker that calls NGSolve, or that makes data shared by all workers."""
+"""Lock that a worker holds while it calls NGSolve, or while it makes data that all workers use."""
 
 
 class Workers:

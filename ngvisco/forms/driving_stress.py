@@ -108,7 +108,7 @@ class LinearisationStress:
             with np.errstate(all="ignore"):
                 strain = self._softness * _rates(rules, M)
                 share = np.linalg.norm(M, axis=2) / np.linalg.norm(strain, axis=2)
-            # the stress at the end of a midpoint step can violate the flow rule: its rate is bounded
+            # at the end of a midpoint step the stress can violate the flow rule: the creep rate is bounded
             self._last = np.nan_to_num(np.minimum(share, 1.0)[..., None] * strain / self._softness)
 
     def start(self) -> None:

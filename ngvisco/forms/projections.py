@@ -115,8 +115,8 @@ class VertexSlope:
     """Slope of a function by means at vertices, each over the cells at the vertex.
 
     For a function that is constant in cells, it is the slope of the continuous function, linear in simplices,
-    with the function's means.  For a function with the given ``slope`` it is the continuous function with the
-    means of the slope, so that the direction of a curved interface changes in a cell.
+    with the function's means.  With ``of_slope`` the recovered slope is the continuous function, linear in
+    simplices, with the means of the given slope.  The normal of a curved interface then varies in a cell.
     """
 
     def __init__(self, mesh: Mesh, value: CoefficientFunction, periodic: bool, of_slope: bool) -> None:

@@ -13,9 +13,9 @@ two bodies negative means are filled up too, and one factor for all slopes bring
        s (F_i + F_j) - F_i    of body i, and as much of body j in the other direction,
 
    scaled so that no cell gives more of a body than it has (Zalesak, J. Comput. Phys. 31, 1979).  A second
-   pass exchanges the amounts that this scaling has held back. An amount takes tensors with it, in the ratio
-   X/n of its cell. Transport may leave cells with negative means: neighbours give such a cell the missing
-   amount of the body, and take the cell's X/n in exchange.
+   pass exchanges the amounts that this scaling has held back. An amount also moves the tensors X, in the
+   ratio X/n of the giving cell. Transport may leave cells with negative means: neighbours give such a cell
+   the missing amount of the body, and take the cell's X/n in exchange.
 2. *In a cell* n_i becomes its mean plus the slope of the projected indicator of body i's part, scaled so
    that theta_i is in [0, 1]; n_j becomes the rest of n_i + n_j, and X becomes n B.  B has the slopes
    of the quotient X/n that the step has carried, projected with the weight n, and the mean that keeps int X.
@@ -306,9 +306,9 @@ class Sharpening:
         self._exchange(u, moves, _PASSES)
 
     def _fill(self, u: np.ndarray) -> None:
-        """Fill cells with a negative amount of a body, in place. Surroundings give this body in proportion to
-        their amounts of it; the cell gives the other bodies in exchange, in proportion to its amounts of
-        them."""
+        """Fill up the cells in which the amount of a body is negative, in place. Surroundings give this body
+        in proportion to their amounts of it; the cell gives the other bodies in exchange, in proportion to
+        its amounts of them."""
         cell, _, neighbour, _ = self._facets.T
         giving, taking = np.concatenate([cell, neighbour]), np.concatenate([neighbour, cell])
         amounts, moves = self._contained(u)[self._amounts], _Moves()

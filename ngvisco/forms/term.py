@@ -41,9 +41,9 @@ class Entry:
     """A column of the ledger: a dissipation or power (W), an energy, or a numerical dissipation (J a step).
 
     ``integrand`` is evaluated at the new state.  Dissipations, numerical dissipations and the change of
-    energies enter the energy identity with +, powers with -.  Monitors, productions of entropy, W/K, and
-    fluxes of mass into the domain, kg/s, do not enter; productions and fluxes are, like powers, taken at the
-    scheme's stages.
+    energies enter the energy identity with +, powers with -.  Monitors, productions of entropy (W/K) and
+    fluxes of mass into the domain (kg/s) do not enter it.  Productions and fluxes are evaluated at the
+    scheme's stages, like powers.
     """
 
     name: str

@@ -152,7 +152,7 @@ class _RuleSearch:
         while panels:
             size, a, b, halves, off = heappop(panels)
             middle = 0.5 * (a + b)
-            # a single panel may have the whole of a small total error
+            # a short panel is divided only if its error is large beside the whole, and not beside its length
             is_small = -size <= TOLERANCE * max(b - a, _SHARE)
             if is_small or self.left <= 0 or not a < middle < b:
                 done.append(_gauss((a, middle), (middle, b)))

@@ -5,8 +5,8 @@ repeats these operations without the function's own code, which takes longer tha
 are small.  Operations on constants alone are not noted, since their results are stored; equal operations are
 noted once, and operations that no result needs are left out.  The results are the same to the bit.
 
-All other arrays that the function uses are constants of its program, except arrays that it reads by
-``datum``. After each ``begin`` a program reads such data again, and carries out once the operations that
+Arrays that the function uses, and that are neither arguments nor read by ``datum``, are constants of the
+program. After each ``begin`` a program reads such data again, and carries out once the operations that
 depend on data alone.
 
 What a function does must not depend on values: a decision by a value, and code other than NumPy's, raises

@@ -133,7 +133,7 @@ class MatrixHyperviscosity:
         self.h_values = self.op.of("hess")
         self.h_inverse = inverse_of_blocks(mass_matrix(self.h_values.matrix, self.op.weights))
         self.size, self.h_count = size, scalar.ndof
-        # rows cell by cell, and in a cell component by component of Hs
+        # rows are ordered by cells, and in a cell by the components of Hs
         inverse = sp.block_diag([self.h_inverse] * size, format="csr")
         order = np.arange(size * self.h_count).reshape(size, mesh.ne, self.h_values.local)
         self.lift = LocalMatrix((inverse @ loads).tocsr()[order.transpose(1, 0, 2).ravel()], mesh.ne)

@@ -55,9 +55,9 @@ class AdaptiveSteps:
         Longest step.
     tolerance : float, optional
         Bound on the relative error of a step in velocity, density and elastic strain, which the scheme
-        estimates (the ledger's error_estimate).  The first steps have no estimate, one or two by the order of
-        the scheme, so that dt has to be short.  Without a tolerance only steps that are not solved are
-        shortened.
+        estimates (the ledger's error_estimate).  Errors of a temperature count relative to the absolute
+        temperature.  The first step, and in a scheme of order 2 the second step, has no estimate, so that dt
+        has to be short.  Without a tolerance only steps that are not solved are shortened.
     patience : int
         Accepted steps in a row after which the length is doubled; has no effect with a tolerance.
     damage_growth : float, optional

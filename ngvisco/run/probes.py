@@ -171,7 +171,8 @@ class WallForces(Series):
         carried = simulation.integrator.carried
         carried[:] = [field for field in carried if field is not self]
 
-    # called by the integrator: forces are averaged over a step's stages, each while it is the present state
+    # the integrator calls these methods, which average the forces over the stages of a step; the forces of a
+    # stage are computed while the stage is the present state
 
     def begin(self) -> None:
         self._mean = np.zeros((len(self.reactions.names), len(self.reactions.motions)))

@@ -194,7 +194,7 @@ def test_wrong_materials_are_refused_by_their_keys(variables, energy, parameters
     assert caught.value.field == field
 
 
-def test_anisotropic_strain_energy_is_refused_with_the_rotation():
+def test_a_refused_strain_energy_is_reported_with_the_rotation_that_changes_it():
     isotropic_strain_energy("5*tr(E)**2 + G*norm2(dev(E))", {"G": 5.0})
     with pytest.raises(nv.ParameterError, match=r"IsotropicStrainEnergy.energy .* under the rotation"):
         isotropic_strain_energy("norm2(E) + 0.01*E[0, 0]**2")

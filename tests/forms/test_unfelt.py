@@ -23,7 +23,7 @@ def run_of(k, m, cells=(4, 4), solver="coupled", **start):
 
 
 @pytest.mark.parametrize(("k", "m"), [(2, 0), (3, 0), (3, 1), (2, 1), (3, 2)])
-def test_only_orders_with_unfelt_motion_have_the_column(k, m):
+def test_the_ledger_has_the_column_unfelt_only_if_m_is_below_k_minus_1(k, m):
     run = run_of(k, m)
     with warnings.catch_warnings():
         warnings.simplefilter("error", nv.InputWarning)

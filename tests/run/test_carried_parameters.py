@@ -145,7 +145,7 @@ def sagging(stiff, force=1e-4):
     return np.array([(T[0, 0], T[1, 1], T[0, 1]) for T in stresses]) / force
 
 
-def test_traces_of_a_stiff_material_do_not_change_the_stress():
+def test_a_small_inflow_of_stiff_material_does_not_change_the_stress():
     """The upper half is elastic on this time scale, with 1e4, 1e6 and 1e11 times the creep modulus. The right
     stresses come from a run in which nothing moves into other cells."""
     right = sagging(1e4, force=1e-10)

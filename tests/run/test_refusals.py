@@ -474,7 +474,7 @@ def test_unknown_names_are_refused_with_the_known_names_or_the_nearest_name():
         simulation().ledger.column("kinetik")
 
 
-def test_a_load_with_the_name_of_an_earlier_one_is_named():
+def test_two_loads_of_one_name_are_refused_and_the_second_is_reported():
     with pytest.raises(nv.ParameterError, match=r"loads\[1\].name = 'gravity': .*column power_gravity"):
         nv.Model(material=LINEAR, loads=[nv.Gravity((0, 1)), nv.Gravity((1, 0))])
 

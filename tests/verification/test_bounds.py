@@ -33,7 +33,7 @@ def test_a_negative_error_violates_its_bound():
     assert rise.holds(-5.0) and not rise.holds(-math.inf)
 
 
-def test_every_case_has_its_bounds_and_every_kind_its_cases():
+def test_one_sided_bounds_are_of_a_known_kind_and_every_kind_occurs():
     bounds = [bound for case in all_cases() for bound in case.bounds]
     assert all((bound.kind is None) == (bound.relation == "in") for bound in bounds)
     used = {(bound.kind.name, bound.relation) for bound in bounds if bound.kind is not None}

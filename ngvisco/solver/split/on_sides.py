@@ -26,7 +26,7 @@ def rows_on_sides(residual: ReducedResidual, integrands: OnSides) -> dict[str, n
 def dissipated_on_sides(residual: ReducedResidual) -> dict[str, float]:
     """The terms' dissipation, W, by the ledger's names.
 
-    Terms that read values which arrays do not have are left out."""
+    Terms are left out if they read values that are not available as arrays at points."""
     c = residual.of_state(residual.facet_terms.names)
     iterated = residual.unknowns.coefficients(residual.unknowns.pack()) | residual.of_state(["hess_square"])
 

@@ -317,7 +317,7 @@ def damped(split: Split, problem: Problem, history: list[NewtonIteration]) -> St
         left = min(by_old, by_new) / split.size(f, base) if size > 0 else 0.0
         history.append(NewtonIteration(size, left, damping, True))
         is_shorter = left <= 1 - damping / 4
-        # after an undamped step rounding alone may make the next increment as long
+        # after an undamped increment, rounding alone may make the next increment as long as the last one
         if (is_shorter or damping == 1) and split.has_converged(new_f, new_size, size):
             split.follow(new_f)
             split.residual.put(new - new_f)

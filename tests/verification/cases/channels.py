@@ -355,9 +355,9 @@ def _largest() -> Measured:
     """)
 def _two_modes() -> Measured:
     # A plane creeping flow has Newton's velocity to order Wi (Tanner 1966), and its drag is odd in the speed.
-    # So the change of the drag begins with a part that is linear in the stress of order Wi^2, sum share_i
-    # lambda_i^2. One mode with the root mean square of the times has the same part, and so has the mean over
-    # modes.
+    # So the first part of the drag's change is linear in the stress of order Wi^2, and proportional to sum
+    # share_i lambda_i^2. One mode with the root mean square of the relaxation times has the same first part,
+    # and so has the mean of the drags of the single modes.
     mesh = half_channel(2.0)
     one, halves = (_drags(mesh, modes, 1.0, "split") for modes in (((0.3, 1.0),), ((0.3, 0.5), (0.3, 0.5))))
     yield (

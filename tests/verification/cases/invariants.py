@@ -182,7 +182,7 @@ def _in_space() -> Measured:
     table, least = RateTable("defects as tau and h go to zero, in 3D"), []
     for h, mesh in refinements(3, 1.0, 3):
         initial = nv.Initial(density=1 + 0.2 * cos(pi * x), velocity=CF(tuple(0.5 * v for v in SPATIAL)))
-        # the mesh is refined in place, so that all results of a run are read before
+        # the next pass refines the mesh in place, so that all results of a run are read before it
         run = block("finite", DURATION * h / 3, mesh=mesh, of=COFACTORS, initial=initial)
         run.run(DURATION)
         table.add(h, **defects(run))
