@@ -86,12 +86,12 @@ class Case:
         return None if adapt is None else adapt.built
 
     def output_times(self, until: float, origin: float = 0.0) -> tuple[float, ...]:
-        """Multiples of ``output.vtk.interval`` after ``origin`` up to ``until``, and ``origin`` itself unless
-        it is 0; empty without an interval."""
+        """Multiples of ``output.vtk.interval`` after ``origin`` up to ``until``, and ``origin`` itself if it
+        is not 0; empty without an interval."""
         interval = self.sections.output.vtk.interval
         if interval is None or not self.sections.output.vtk.enabled:
             return ()
-        count = int((until - origin) / interval * (1 + 1e-12))
+        count = int((until - origin) / interval + 1e-9)
         return tuple(origin + i * interval for i in range(origin == 0, count + 1))
 
     @property

@@ -311,14 +311,13 @@ def _write_change(place: RunDirectory, case: Case, new: Case, change: dict[str, 
 def _pending_change(place: RunDirectory, case: Case) -> str | None:
     """The hash of run.h5's case if no checkpoint has followed the last change of the case; else None."""
     changes = place.read_versions().get("changes", [])
-    if not changes or changes[-1]["to"] != case.hash or changes[-1]["from"] == case.hash:
-        return None
+    before = {change["from"] for change in changes if change["to"] == case.hash != change["from"]}
     try:
         with h5py.File(place.run_file) as file:
             digest = file.attrs.get("case")
     except OSError:  # the next reader raises the error
         return None
-    return str(digest) if digest == changes[-1]["from"] else None
+    return str(digest) if digest in before else None
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,9 @@ a increases |M| by |M| a^2/2, and the rate by |M| a^2/(2 G_m).  Here M* is a fur
     M* + c rate(M*) = Y,   M(z) = M*,   Pi = (Y - M*)/c.
 
 M* is a function of Y with a slope of at most one and the curvature of the rule's level sets, however steep
-the rule is (Yosida).  In the equations of z, Newton's method for (z, Y) has, with S = rate'(M*), the rate
+the rule is (Yosida).  In the equations of z, the rate in Newton's method for (z, Y) is
 
-    Pi = rate(M*) + S (M(z) - M*).
+    Pi = rate(M*) + S (M(z) - M*),   S = rate'(M*).
 
 The increment dz gives Y = (M + M' dz) + c (Pi + S M' dz), from which M* follows point by point. The solution
 satisfies Pi = rate(M(z)) for any c > 0, in Pa s; c is tau times the stress per creep strain at rest. Where a

@@ -226,7 +226,7 @@ class Sharpening:
         return height
 
     def _shared_by(self, u: np.ndarray, i: int, j: int) -> tuple[np.ndarray, np.ndarray]:
-        """Share of body i in each cell, in [0, 1], with the traces of other bodies by halves, (cells,), and a
+        """Share of body i in each cell, (cells,), in [0, 1], with half of each trace of another body; and a
         mask of the cells with bodies i and j."""
         means = self._means(u[self._amounts])
         theta = np.clip(means / means.sum(axis=0), 0, 1)[[i, j]]
@@ -307,8 +307,7 @@ class Sharpening:
 
     def _fill(self, u: np.ndarray) -> None:
         """Fill up the cells in which the amount of a body is negative, in place. Surroundings give this body
-        in proportion to their amounts of it; the cell gives the other bodies in exchange, in proportion to
-        its amounts of them."""
+        in proportion to their amounts of it, and get the other bodies in proportion to the cell's amounts."""
         cell, _, neighbour, _ = self._facets.T
         giving, taking = np.concatenate([cell, neighbour]), np.concatenate([neighbour, cell])
         amounts, moves = self._contained(u)[self._amounts], _Moves()
@@ -324,6 +323,8 @@ class Sharpening:
     def _exchange(self, u: np.ndarray, moves: _Moves, passes: int) -> None:
         """Make the ``moves`` in place, as far as cells have the amounts; a further pass moves what was held
         back. In exchange for matter that fills up a negative amount a cell gives matter with its X/n."""
+        if not moves:  # one body
+            return
         body = np.concatenate([np.repeat([[i], [j]], len(part), axis=1) for i, j, _, part in moves], axis=1)
         source, wanted = (np.concatenate(parts, axis=-1) for parts in list(zip(*moves, strict=True))[2:])
         target = source[::-1]
@@ -355,8 +356,7 @@ class Sharpening:
         return np.bincount(cells, amounts, self._halo.count)[: self._halo.cells]
 
     def _received(self, body: np.ndarray | int, cells: np.ndarray, amounts: np.ndarray) -> np.ndarray:
-        """Sums of ``amounts`` of the bodies with the numbers ``body`` over own cells, and over halo cells by
-        the ranks that own them, (bodies, cells)."""
+        """Sums of the bodies' ``amounts`` over own cells, and over halo cells by owners, (bodies, cells)."""
         count = len(self._amounts)
         sums = np.bincount((cells * count + body).ravel(), amounts.ravel(), self._halo.count * count)
         return self._halo.with_others(sums.reshape(-1, count)[: self._halo.cells]).T

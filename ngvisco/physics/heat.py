@@ -14,7 +14,7 @@ from typing import Annotated, Any, TypeAlias
 import numpy as np
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import ParameterError, Quantity, as_number
+from ngvisco.errors import Declared, ParameterError, Quantity, as_number
 from ngvisco.physics.parameters import Checked
 from ngvisco.physics.tensors import as_array, linear_map
 from ngvisco.physics.variables import Values
@@ -95,10 +95,8 @@ class Heat(Checked):
     def __post_init__(self) -> None:
         super().__post_init__()
         conductivity, owner = self.conductivity, "Heat.conductivity"
-        number = as_number(conductivity)
-        if number is not None:
-            if number < 0:
-                raise ParameterError(owner, conductivity, "a finite number >= 0")
+        if as_number(conductivity) is not None:
+            number = Declared(">= 0", (float,)).taken(owner, conductivity)
             object.__setattr__(self, "conductivity", number)
         elif callable(conductivity) and not isinstance(conductivity, CoefficientFunction):
             values = np.array([conductivity(np.float64(theta)) for theta in _TEMPERATURES])

@@ -100,10 +100,7 @@ class ParameterExpression(ABC):
         return _Operation(neg, (self,))
 
     def __pow__(self, exponent: float) -> ParameterExpression:
-        number = as_number(exponent)
-        if number is None:
-            raise ParameterError("exponent", exponent, "a finite number")
-        return _Operation(pow, (self, float(number)))
+        return _Operation(pow, (self, Declared("", (float,)).taken("exponent", exponent)))
 
     def __rpow__(self, base: object) -> ParameterExpression:
         raise ParameterError("exponent", self, f"a finite number as the exponent of {base!r}")

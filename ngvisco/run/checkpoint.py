@@ -9,7 +9,8 @@ Layout::
                                     of each part of the run, and |closure_relative| up to which it closes
     /<table>/<column>               one value a row, for observers with a ``group``, as ``bodies``
     /checkpoints/<step>/state       all coefficients of the step's space; attributes time (s), step,
-                                    energy (J), mass (kg), initial_mass (kg), velocity_scale (m/s)
+                                    energy (J), mass (kg), initial_mass (kg), velocity_scale (m/s),
+                                    wave_speed (m/s)
     /checkpoints/<step>/solver      the point where the Jacobian was factorised (attributes tau, end,
                                     loads_from, loads_over, loads_tilt, last_tau, factorised_by_split,
                                     directions_first, directions_beyond; data sets state, state_old), and
@@ -63,7 +64,7 @@ if TYPE_CHECKING:
 
 UNITS = (
     "time, tau, dt, end, loads_from, loads_over, *_time, known_*: s; energy: J; mass: kg; "
-    "velocity_scale: m/s (per metre in plane strain)"
+    "velocity_scale, wave_speed: m/s (per metre in plane strain)"
 )
 """Units of the checkpoints' attributes, as the file lists them; units of the ledger stand at its columns."""
 

@@ -198,7 +198,8 @@ def fastest_wave(step: Step, sampler: Sampler) -> float:
     if places := extreme_places(step, sampler):
         return max(wave_speed(step, p.state, p.density) for p in places)
     states = np.asarray(sampler.values(step.now.z)).reshape(-1, step.layout.states.size)
-    state = np.concatenate(sampler.ranks.gathered(states))[0]
+    first = np.concatenate(sampler.ranks.gathered(cell_numbers(step.mesh)[sampler.cells])).argmin()
+    state = np.concatenate(sampler.ranks.gathered(states))[first]
     return wave_speed(step, state, sampler.extrema(step.now.rho)[0])
 
 

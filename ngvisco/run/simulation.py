@@ -197,6 +197,7 @@ class Simulation(RunState):
         numbers, _ = checkpoint.part("")
         self.set_time(numbers["time"], int(numbers["step"]))
         self.set_velocity_scale(numbers["velocity_scale"])
+        self.wave_speed = numbers.get("wave_speed", self.wave_speed)
         self.solver.load_state_dict(*checkpoint.part("solver"))
         self.stepper.load_state_dict(self, *checkpoint.part("stepping"))
         self.ledger.resume(checkpoint.balance, rows, limits)

@@ -129,7 +129,8 @@ def snapshot(simulation: RunState, solving: Mapping[str, KeptPart]) -> Snapshot:
     """
     balance = simulation.ledger.balance
     assert balance is not None
-    numbers = {"time": simulation.t, "step": simulation.number, "velocity_scale": simulation.velocity_scale}
+    numbers = {"time": simulation.t, "step": simulation.number}
+    numbers |= {name: getattr(simulation, name) for name in ("velocity_scale", "wave_speed")}
     state = {"state": simulation.rothe_step.state.vec.FV().NumPy().copy()}
     of_run = numbers | dataclasses.asdict(balance), state
     parts: dict[str, KeptPart] = {"": of_run, **solving, "passive": ({}, simulation.passive.arrays())}

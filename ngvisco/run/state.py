@@ -62,8 +62,6 @@ class RunState:
         run_time.Set(0.0)  # start values and walls are evaluated at t = 0, also after other runs
         F_0 = set_initial(step, initial, self.sampler)
         self.set_velocity_scale(float(time.velocity_scale or typical_velocity(step, self.sampler, self.dt)))
-        # the start's speed of waves, also if the run is continued from a checkpoint
-        self.wave_speed = fastest_wave(step, self.sampler) if time.adaptive else 0.0
         self.bounds = Bounds(step, self.sampler, time.limiter, time.drift)
         self.solver = RotheSolver(step, options, self.bounds.refusal)
         closed = closure_limit(options.tolerance)
@@ -87,8 +85,11 @@ class RunState:
         )
 
     def set_velocity_scale(self, scale: float) -> None:
-        """Set the velocity scale, m/s, and from it the curvature of v in the penalty's weight."""
+        """Set the velocity scale, m/s, and from it the curvature of v in the penalty's weight.
+
+        Adaptive steps also need the speed of waves at the present state, m/s."""
         self.velocity_scale = scale
+        self.wave_speed = fastest_wave(self.rothe_step, self.sampler) if self.is_adaptive else 0.0
         self.rothe_step.context.curvature.Set(0.1 * scale / diameter(self.rothe_step.mesh, self.ranks) ** 2)
 
     def set_time(self, t: float, number: int) -> None:

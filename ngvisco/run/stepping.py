@@ -42,7 +42,7 @@ from ngvisco.physics.defects import DRIFT
 from ngvisco.run.adaptive import AdaptiveSteps, GrowthControl
 from ngvisco.solver.problem import Attempt
 from ngvisco.solver.rothe import RotheSolver
-from ngvisco.timestepping.error import ErrorEstimate
+from ngvisco.timestepping.error import ErrorEstimate, Scaled
 from ngvisco.timestepping.integrator import Integrator, StepTaken
 from ngvisco.timestepping.scheme import TimeScheme, midpoint, scheme_of
 
@@ -91,7 +91,8 @@ class TimeSteps:
     velocity_scale : float, optional
         A typical velocity, from which a typical curvature of v follows.  Below this curvature, the penalty
         of the hyperviscosity is constant.  The estimate of errors adds this velocity to the size of v, and
-        the ledger adds the mass times this velocity to the momentum with which defects are compared.  The
+        this velocity over the speed of waves to the size of strains.  The ledger adds the mass times this
+        velocity to the momentum with which defects are compared.  The
         default is the velocity of flow, walls, free fall or elastic release, or a tenth of the speed of
         sound in a body at rest.
     adaptive : AdaptiveSteps, optional
@@ -188,14 +189,11 @@ class Accepted:
     error: float | None = None
 
 
-class Stepped(Protocol):
+class Stepped(Scaled, Protocol):
     """Attributes of a run that its stepper uses."""
 
-    rothe_step: Step
     solver: RotheSolver
     integrator: Integrator
-    velocity_scale: float
-    wave_speed: float
 
     @property
     def t(self) -> float: ...
@@ -402,8 +400,8 @@ class AdaptiveStepper:
 
     def _estimate_of(self, run: Stepped) -> ErrorEstimate | None:
         if self._estimate is None and self.options.tolerance is not None:
-            order = run.integrator.scheme.order
-            self._estimate = ErrorEstimate(run.rothe_step, lambda: run.velocity_scale, run.wave_speed, order)
+            order, least = run.integrator.scheme.order, run.solver.options.tolerance / self.options.tolerance
+            self._estimate = ErrorEstimate(run, least, order)
         return self._estimate
 
     def _length(self, t: float, stop: float) -> tuple[float, float]:

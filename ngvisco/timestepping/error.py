@@ -9,15 +9,16 @@ prod_j (t_n - t_{n-1-j}).  So
 which needs no further solve (for the implicit Euler scheme it is tau/(2 tau + tau_old) times the difference).
 There is no estimate before p + 1 states are known.
 
-The relative error is the largest of |e_u|/(|u| + s_u sqrt(volume)) over the evolving unknowns u and over the
-variables in z, with L2 norms over the domain.  The scale s_u (``ngvisco.forms.term``) is the run's velocity
-scale v_s for v, and 0 for rho.  For a strain, u is its departure z - z(F = I), and s_u is v_s/c, the strain
-in a wave of the velocity v_s and the speed c.  So small and large strains have the same relative error.  For
-an amount in z, such as the entropy or a body's amount, and for a parameter, s_u is 1.
+The relative error is the largest of |e_u|/(|u| + s_u sqrt(volume)) over the evolving unknowns other than z
+and over the variables in z, with L2 norms over the domain.  The scale s_u (``ngvisco.forms.term``) is the
+run's velocity scale v_s for v, and 0 for rho.  For a strain, u is its departure z - z(F = I), and s_u is
+v_s/c, the strain in a wave of the velocity v_s and the speed c, plus the strain whose error the solver's
+tolerance hides.  So small and large strains have the same relative error.  For an amount in z, such as the
+entropy or a body's amount, and for a parameter, s_u is 1.
 """
 
 import math
-from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 from ngsolve import CF, FESpace, GridFunction
@@ -28,15 +29,24 @@ from ngvisco.physics.variables import Values
 from ngvisco.timestepping.scheme import TimeScheme
 
 
+class Scaled(Protocol):
+    """A run with its velocity scale v_s and its speed of waves c, m/s; c is 0 without waves."""
+
+    rothe_step: Step
+    velocity_scale: float
+    wave_speed: float
+
+
 class ErrorEstimate:
     """Estimates the error of the last step from stored states, which a checkpoint contains too.
 
-    ``speed`` returns v_s, m/s, ``waves`` is c, m/s, or 0 without waves, and ``order`` is the highest order of
-    a scheme to be estimated.
+    ``least`` is a strain that is too small to have an exact error; ``order`` is the highest order of a scheme
+    to be estimated.
     """
 
-    def __init__(self, step: Step, speed: Callable[[], float], waves: float, order: int) -> None:
-        self.step, self.speed, self._enough = step, speed, order + 1
+    def __init__(self, run: Scaled, least: float, order: int) -> None:
+        step = self.step = run.rothe_step
+        self.run, self.least, self._enough = run, least, order + 1
         self._times: list[float] = []
         self._states: list[np.ndarray] = []
         names, now = step.layout.evolving, step.now.parts
@@ -48,10 +58,9 @@ class ErrorEstimate:
         pairs = [(errors[u.name], now[u.name]) for u in unknowns]
         pairs += [(computed[name] - exact[name], computed[name]) for name in computed]
         self._squares = CF((*(square(part) for pair in pairs for part in pair), 1.0)).Compile()
-        # each scale is a number and a multiple of v_s
-        of_strain = (0.0, 1 / waves) if waves > 0 else (1.0, 0.0)
-        scales = [(u.scale, float(u.place == "velocity")) for u in unknowns]
-        scales += [of_strain if name in self._strains else (1.0, 0.0) for name in computed]
+        # each scale is a number, and multiples of the velocity's and the strains' scale
+        scales = [(u.scale, float(u.place == "velocity"), 0.0) for u in unknowns]
+        scales += [(0.0, 0.0, 1.0) if name in self._strains else (1.0, 0.0, 0.0) for name in computed]
         self._scales = np.array(scales)
 
     def _counted(self, components: Tensor) -> Values:
@@ -84,7 +93,9 @@ class ErrorEstimate:
         extrapolated = sum(w * u for w, u in zip(weights, self._states[-p - 1 :], strict=True))
         self._difference.vec.FV().NumPy()[:] = weight / (weight + missed) * (self._values() - extrapolated)
         *norms, root_volume = np.sqrt(np.asarray(self.step.quadrature.integrate_cells(self._squares)))
-        wholes = norms[1::2] + root_volume * (self._scales @ (1.0, self.speed()))
+        velocity, waves = self.run.velocity_scale, self.run.wave_speed
+        strain = velocity / waves + self.least if waves > 0 else 1.0
+        wholes = norms[1::2] + root_volume * (self._scales @ (1.0, velocity, strain))
         return float(max(e / s if s > 0 else e for e, s in zip(norms[::2], wholes, strict=True)))
 
     def _values(self) -> np.ndarray:

@@ -362,6 +362,17 @@ def test_an_even_mixture_has_no_interface_in_spite_of_rounding(rng):
     assert np.abs(z - before).max() < 1e-10 * np.abs(before).max()
 
 
+def test_one_body_alone_runs_with_sharp_interfaces():
+    body = nv.Body(name="alone", material=nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0), density=1.0)
+    run = nv.Simulation(
+        structured_box((1, 1), (3, 3)),
+        nv.Model(bodies=[body], loads=[nv.Gravity((0.0, -1.0))]),
+        dt=0.02,
+        discretisation=SHARP,
+    )
+    assert abs(run.run(0.04).column("closure_relative")).max() < 1e-13
+
+
 def test_an_interface_at_rest_does_not_move():
     """Without velocity cells exchange nothing, and bodies that are already separated in a cell stay as they
     are."""

@@ -18,6 +18,12 @@ def test_images_fall_with_the_square_of_the_cell() -> None:
     assert near[1][0, 0] / far[1][0, 0] == pytest.approx(4.0, rel=0.2)
 
 
+def test_images_in_a_cell_of_12_radii_enlarge_the_steady_deformation() -> None:
+    """The published closed form is for one disc alone; the kept references have .1900 in place of .1866."""
+    alone, among = (ellipse(0.2, np.array([20.0]), *of)[0][0] for of in ((), (images(12.0),)))
+    assert 1.012 < among / alone < 1.024
+
+
 def test_fitted_mesh_follows_the_ellipse_in_a_creeping_flow() -> None:
     disc = Fitted(0.2, 500.0, 0.005, 12.0, maxh=0.5, dt=0.05)
     while disc.t < 0.5 - 1e-9:

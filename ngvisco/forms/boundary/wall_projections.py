@@ -15,8 +15,8 @@ all others.  The condition C y = g is then the system
 
     D y - C_s^T lambda = 0,   C_s y + C_i D_i^-1 C_i^T lambda = g.
 
-On one process this is the Schur complement.  The system is factorised in units in which D and the rows of C
-have length one.
+On one process this system is the Schur complement C D^-1 C^T of lambda.  The system is factorised in units
+in which D and the rows of C have length one.
 """
 
 from __future__ import annotations

@@ -124,8 +124,8 @@ class Split:
             with on_arrays(), np.errstate(all="ignore"):  # a diverging iterate is inf or NaN
                 self.residual.start(records=True)
                 status = (damped if self.damps else iterate)(self, problem, history)
-                if status is Status.STALLED and history[-1].increment <= self._noise():
-                    status = Status.ROUNDING
+                if status is Status.STALLED and np.isfinite(last := history[-1].increment):
+                    status = Status.ROUNDING if last <= self._noise() else status
         except StepError as error:  # a factorisation failed
             return Solution(Status.SINGULAR, tuple(history), str(error))
         except (FloatingPointError, np.linalg.LinAlgError) as error:

@@ -342,8 +342,8 @@ def _parasitic(
 
 
 @CASES(f"""stressed-interface
-    A block under stress along its flat faces stays in translation, whatever its stress, if its faces are on
-      edges of cells or k = 1; otherwise the velocity beside a face has an error in proportion to the stress.
+    A block under stress along its flat faces stays at rest if its faces are on edges of cells, and stays in
+      translation if k = 1; otherwise the velocity beside a face has an error in proportion to the stress.
     label: exact: translation of a body without traction
     setting: A channel of 1 m x 0.2 m, a neo-Hookean block of 0.4 m with S = 1.2 Pa along its faces, air of
       equal density and bulk modulus, c = 1.4 m/s, viscosity 1e-3 Pa s, cells of {SIDE} m, midpoint rule
