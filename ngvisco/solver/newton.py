@@ -300,7 +300,7 @@ class Newton:
         return Status.CONVERGED if coarse <= NOISE_CAP * self.options.tolerance else Status.ROUNDING
 
     def _noise(self) -> float:
-        """The change of the present increment if every number of the state changes in its last place.
+        """The noise (``BlockNorm.noise``) of the present increment.
 
         The noise includes the state's own change in its last places, which is far smaller than the rest.  A
         wrong derivative, a fold or a kink of the equations does not enlarge the noise, because increments

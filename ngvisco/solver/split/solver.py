@@ -140,7 +140,7 @@ class Split:
         return unconverged(status, history, "the split solver", tolerance)
 
     def _noise(self) -> float:
-        """The change of the increment if every number of the state changes in its last place."""
+        """The noise (``BlockNorm.noise``) of the increment."""
         rows = self.residual(self.unknowns.pack()).residual.copy()
 
         def size() -> float:
