@@ -43,6 +43,8 @@ from ngvisco.geometries import annulus, box, channel, disc
 from ngvisco.physics.tensors import dev, square
 from ngvisco.run.ledger import Ledger
 from ngvisco.run.stepping import Rejection
+from ngvisco.solver.problem import Interval
+from ngvisco.solver.rothe import RotheSolver
 
 
 @cache
@@ -301,6 +303,18 @@ TWO_STEPS = "[time]\ndt = 0.02\nuntil = 0.04\n"
 NO_VTK = "[output.vtk]\nenabled = false\n"
 """Further tables of a case file: gravity, a swirl, two steps, and no VTK files."""
 OF_MODELS, OF_STARTS = ({field.name for field in fields(given)} for given in (nv.Model, nv.Initial))
+
+
+def refuse_steps(patch: pytest.MonkeyPatch, refuses: Callable[[Interval], bool]) -> None:
+    """Let no Rothe step be solved over an interval that ``refuses`` accepts."""
+    solve = RotheSolver.solve
+
+    def attempted(self: RotheSolver, interval: Interval) -> Any:
+        if refuses(interval):
+            raise nv.StepError("refused", [])
+        return solve(self, interval)
+
+    patch.setattr(RotheSolver, "solve", attempted)
 
 
 def small_run(mesh: Mesh | float = 0.5, dt: float = 0.02, **options: Any) -> nv.Simulation:

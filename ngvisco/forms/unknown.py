@@ -47,7 +47,8 @@ class Unknown:
         Whether the unknown is a ``CellMean``, a constant in each cell.
     scale : float
         Typical size, in the unknown's unit, >= 0: errors and increments count relative to the unknown's size
-        and to this scale; 0 for an unknown that is never zero everywhere.  For v the run sets the scale.
+        and to this scale; 0 for an unknown that is never zero everywhere.  The run sets the scale of v.
+        Errors of z have scales of their own (``ngvisco.timestepping.error``).
     """
 
     name: str

@@ -3,13 +3,12 @@
 import re
 
 import pytest
-from support import by_ci
+from support import by_ci, refuse_steps
 
 import ngvisco as nv
 from ngvisco.case.build import parse_case
 from ngvisco.cli.main import main
 from ngvisco.run.snapshot import mesh_of_checkpoints
-from ngvisco.solver.rothe import RotheSolver
 
 PULSE = """
 [domain]
@@ -90,14 +89,7 @@ def test_a_second_run_starts_from_the_last_state_on_an_adapted_mesh(tmp_path):
 
 
 def test_a_step_that_fails_on_a_later_mesh_leaves_the_earlier_steps_in_the_directory(tmp_path, monkeypatch):
-    solve = RotheSolver.solve
-
-    def fails(self, interval):
-        if interval.end > 0.27:
-            raise nv.StepError("refused", [])
-        return solve(self, interval)
-
-    monkeypatch.setattr(RotheSolver, "solve", fails)
+    refuse_steps(monkeypatch, lambda interval: interval.end > 0.27)
     with pytest.raises(nv.StepError):
         nv.case.run(case(tmp_path), tmp_path / "out")
     kept = {path.name for path in (tmp_path / "out").iterdir()}

@@ -6,12 +6,12 @@ import shutil
 
 import numpy as np
 import pytest
-from support import A_BODY, A_FALL, A_SWIRL, NO_VTK, TWO_STEPS
+from support import A_BODY, A_FALL, A_SWIRL, NO_VTK, TWO_STEPS, refuse_steps
 
 import ngvisco as nv
+from ngvisco.case import runs
 from ngvisco.case.build import parse_case
 from ngvisco.run.simulation import Observer
-from ngvisco.solver.rothe import RotheSolver
 
 CASE = A_BODY + A_FALL + A_SWIRL + TWO_STEPS + NO_VTK
 
@@ -76,14 +76,31 @@ def test_the_end_of_a_run_with_another_step_is_counted_from_each_checkpoint_at_w
     )
 
 
+def test_a_run_goes_on_after_a_second_change_that_the_disk_has_refused(run, monkeypatch):
+    """The first change has no checkpoint yet; the second one is in versions.json, but not in case.toml."""
+    write = runs.write_atomically
+
+    def stops(place, case, simulation, *others):
+        raise KeyboardInterrupt
+
+    def is_full(path, content):
+        if path.name == "case.toml":
+            raise OSError("no space left")
+        write(path, content)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(runs, "_go", stops)
+        with pytest.raises(KeyboardInterrupt):
+            nv.case.resume(run, settings=["material.G_e=6", "time.until=0.06"])
+        patch.setattr(runs, "write_atomically", is_full)
+        with pytest.raises(OSError, match="no space left"):
+            nv.case.resume(run, settings=["material.G_e=7"])
+    assert nv.case.resume(run).t == pytest.approx(0.06)
+    assert nv.load(run).case.sections.material.G_e == 6
+
+
 def test_a_change_of_other_keys_within_a_halved_step_keeps_the_ends_of_the_steps(tmp_path, monkeypatch):
     """The checkpoint of a run that was stopped within a step lies at no multiple of dt."""
-    solve = RotheSolver.solve
-
-    def fails(self, interval):
-        if interval.tau > 0.015:
-            raise nv.StepError("refused", [])
-        return solve(self, interval)
 
     class Stops(Observer):
         def step(self, simulation, row):
@@ -91,7 +108,7 @@ def test_a_change_of_other_keys_within_a_halved_step_keeps_the_ends_of_the_steps
 
     place = tmp_path / "run"
     with monkeypatch.context() as patch:
-        patch.setattr(RotheSolver, "solve", fails)
+        refuse_steps(patch, lambda interval: interval.tau > 0.015)
         nv.case.run(case(tmp_path), place, observers=[Stops()])
     assert nv.load(place).time == pytest.approx(0.01)
     simulation = nv.case.resume(place, settings=["material.G_e=6"])

@@ -14,6 +14,7 @@ import ngvisco as nv
 from ngvisco.geometries import structured_box
 from ngvisco.run.ledger import NUMERICAL
 from ngvisco.run.observers import dissipation_advice
+from ngvisco.run.scales import fastest_wave
 from ngvisco.timestepping.error import ErrorEstimate
 
 
@@ -306,6 +307,23 @@ def test_small_strains_are_as_accurate_as_their_stress():
         error = stress.column("p.cauchy_stress_12") / strain - np.exp(-times[-1])
         assert 0.003 < abs(error).max() < 0.02
     assert len(times[0]) == pytest.approx(len(times[1]), abs=2)
+
+
+def test_the_speed_of_waves_is_that_of_the_start_after_a_restart_and_that_of_the_state_after_a_transfer(
+    tmp_path,
+):
+    """The scale of strains must not depend on where a run was stopped, nor on start values without use."""
+    steps = nv.TimeSteps(dt=0.02, adaptive=nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.05, tolerance=1e-2))
+    make = partial(swirling, time=steps, density=4.0, material=SOLID)
+    run = make(observers=[nv.Checkpoints(tmp_path / "run.h5")])
+    run.run(0.1)
+    resumed, target = make(), swirling(time=steps, material=SOLID)
+    resumed.restore(tmp_path / "run.h5")
+    assert resumed.wave_speed == run.wave_speed == make().wave_speed
+    assert abs(fastest_wave(run.rothe_step, run.sampler) / run.wave_speed - 1) > 1e-3
+    assert target.wave_speed == pytest.approx(2 * run.wave_speed, rel=1e-9)
+    nv.transfer(run, target)
+    assert target.wave_speed == pytest.approx(run.wave_speed, rel=0.2)
 
 
 @pytest.mark.parametrize("scheme", ["backward-euler", "midpoint"])

@@ -5,7 +5,7 @@ package.
 its distortion F and the velocity's gradient L inside (Eshelby). In a bounded cell, the disc's images add a
 gradient that is linear in the disc's stress; ``images`` computes this gradient for a round disc.
 
-*A fitted mesh.*  ``fitted`` solves the equations of a compressible fluid and disc with inertia by P_3
+*A fitted mesh.*  ``Fitted`` solves the equations of a compressible fluid and disc with inertia by P_3
 velocities on a mesh whose curved edges follow the interface, with steps of the BDF scheme of order 2.  The
 mesh moves with the normal velocity of the interface, and B = F F^T and J are discontinuous P_2.  The motion
 of the mesh is explicit and becomes unstable after about four strains with steps of 0.04 strains.
@@ -18,7 +18,7 @@ with the shear flow v = (y, 0).
 from __future__ import annotations
 
 import numpy as np
-from netgen.occ import Glue, IdentificationType, OCCGeometry, Vec, WorkPlane, gp_Trsf
+from netgen.occ import Glue, IdentificationType, OCCGeometry, TopoDS_Shape, Vec, WorkPlane, gp_Trsf
 from ngsolve import (
     CF,
     H1,
@@ -58,18 +58,25 @@ def mesh_of(size: float, maxh: float, order: int) -> Mesh:
     square = WorkPlane().MoveTo(-size / 2, -size / 2).Rectangle(size, size).Face()
     disc = WorkPlane().Circle(0, 0, 1).Face()
     disc.faces.name, disc.faces.maxh, disc.edges.name = "disc", maxh, "interface"
-    whole, sides = Glue([disc, square - disc]), {}
+    whole = Glue([disc, square - disc])
     for face in whole.faces:
         face.name = face.name or "fluid"
+    mesh = Mesh(periodic_cell(whole, size).GenerateMesh(maxh=_COARSE, grading=_GRADING))
+    mesh.Curve(order)
+    return mesh
+
+
+def periodic_cell(whole: TopoDS_Shape, size: float) -> OCCGeometry:
+    """The geometry of faces that fill the square cell: its edges are named left, right, bottom and top, and
+    the cell is periodic in x."""
+    sides = {}
     for edge in whole.edges:
         for name, i, end in (("left", 0, -1), ("right", 0, 1), ("bottom", 1, -1), ("top", 1, 1)):
             if abs(edge.center[i] - end * size / 2) < 1e-9:
                 edge.name, sides[name] = name, edge
     along = gp_Trsf.Translation(Vec(size, 0, 0))
     sides["left"].Identify(sides["right"], "periodic", IdentificationType.PERIODIC, along)
-    mesh = Mesh(OCCGeometry(whole, dim=2).GenerateMesh(maxh=_COARSE, grading=_GRADING))
-    mesh.Curve(order)
-    return mesh
+    return OCCGeometry(whole, dim=2)
 
 
 def axes(B: np.ndarray) -> tuple[float, float]:

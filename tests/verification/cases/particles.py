@@ -6,14 +6,14 @@ from typing import Any
 
 import ngsolve
 import numpy as np
-from netgen.occ import Glue, IdentificationType, OCCGeometry, Vec, WorkPlane, gp_Trsf
+from netgen.occ import Glue, WorkPlane
 from ngsolve import y
 
 import ngvisco as nv
 from ngvisco.geometries import structured_box
 from tests.verification.case import Cases, Curve, Measured, Plot, Table
 from tests.verification.setups import fluid, stokes
-from tests.verification.sheared_disc import Fitted, ellipse, images
+from tests.verification.sheared_disc import Fitted, ellipse, images, periodic_cell
 
 CASES = Cases("Bodies and their interfaces")
 
@@ -82,14 +82,8 @@ def refined(h: float) -> ngsolve.Mesh:
     outer = WorkPlane().MoveTo(-SIZE / 2, -SIZE / 2).Rectangle(SIZE, SIZE).Face()
     inner = WorkPlane().MoveTo(-REFINED[0] / 2, -REFINED[1] / 2).Rectangle(*REFINED).Face()
     inner.faces.maxh = h
-    whole, sides = Glue([inner, outer - inner]), {}
-    for edge in whole.edges:
-        for name, i, end in (("left", 0, -1), ("right", 0, 1), ("bottom", 1, -1), ("top", 1, 1)):
-            if abs(edge.center[i] - end * SIZE / 2) < 1e-9:
-                edge.name, sides[name] = name, edge
-    along = gp_Trsf.Translation(Vec(SIZE, 0, 0))
-    sides["left"].Identify(sides["right"], "periodic", IdentificationType.PERIODIC, along)
-    return ngsolve.Mesh(OCCGeometry(whole, dim=2).GenerateMesh(maxh=OUTER, grading=0.5))
+    whole = periodic_cell(Glue([inner, outer - inner]), SIZE)
+    return ngsolve.Mesh(whole.GenerateMesh(maxh=OUTER, grading=0.5))
 
 
 def sheared(sharp: bool, cells: int = CELLS, capillary: float = CAPILLARY) -> tuple[nv.Simulation, nv.Bodies]:
