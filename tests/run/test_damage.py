@@ -168,6 +168,7 @@ def test_damage_stays_without_healing_and_falls_at_its_rate_with_healing():
 
 
 @pytest.mark.long
+@pytest.mark.ci
 @pytest.mark.parametrize(("scheme", "kept"), [("backward-euler", 0.72), ("midpoint", 0.95)])
 def test_a_crack_that_moves_by_four_cells_keeps_the_stated_share_of_its_energy(scheme, kept):
     """MATERIALS.md has these shares.  Backward Euler diffuses carried fields; its share would be 0.95 without

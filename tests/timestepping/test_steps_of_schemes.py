@@ -323,7 +323,7 @@ def test_the_speed_of_waves_is_that_of_the_start_after_a_restart_and_that_of_the
     assert abs(fastest_wave(run.rothe_step, run.sampler) / run.wave_speed - 1) > 1e-3
     assert target.wave_speed == pytest.approx(2 * run.wave_speed, rel=1e-9)
     nv.transfer(run, target)
-    assert target.wave_speed == pytest.approx(run.wave_speed, rel=0.2)
+    assert target.wave_speed == pytest.approx(fastest_wave(run.rothe_step, run.sampler), rel=1e-6)
 
 
 @pytest.mark.parametrize("scheme", ["backward-euler", "midpoint"])
@@ -340,6 +340,8 @@ def test_strains_that_stay_zero_do_not_shorten_the_steps_of_a_slow_flow(scheme):
     )
     ledger = run.run(2e11)
     assert 5 < run.number < 100 and not np.isnan(ledger.column("error_estimate")[-1])
+    # the viscosity 5e20 Pa s times the shear rate 1e-14 1/s, after 40 relaxation times
+    assert run.fields["cauchy_stress"](run.mesh(3e4, 4e4))[1] == pytest.approx(5e6, rel=1e-4)
 
 
 # --- advice --------------------------------------------------------------------------------------------
