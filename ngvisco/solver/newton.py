@@ -1,19 +1,19 @@
 """The coupled solver: damped Newton iteration with a reused factorisation, statically condensed.
 
-A Jacobian is assembled and factorised at the start of a run, and again if the contraction of the last
+A Jacobian is assembled and factorised at the start of a run. It is renewed if the contraction of the last
 increment, theta = |d_{i+1}|/|d_i|, is above ``refresh``.  All other increments are computed with the present
 factorisation. Damping is the natural monotonicity test of affine invariant Newton methods: a step of length
 lambda is taken if the next increment by the same factorisation is shorter by the factor 1 - lambda/4.  The
-test is invariant under scaling of the equations, so residuals in different units are never compared. The two
-increments are measured with one scale, the larger of the scales before and after the step: a step that is far
-too long makes the scale grow, and would pass a test by two scales.
+test is invariant under scaling of the equations, so residuals in different units are never compared. One
+scale measures both increments: the larger of the scales before and after the step. With two scales, a step
+that is far too long would pass the test, because such a step makes the scale grow.
 
 Rounding. The residual is a sum of parts that cancel. Near F = I the parts of the elastic force have the size
 of the modulus G, and their rounding leaves a force of eps G/h. No stiffness resists a force that moves the
 body as a whole, so that v is known only to eps G tau/(rho h). To measure this noise, every number of the
-state is perturbed by one unit in its last place; the increment changes by the noise, which no iteration can
-remove. If a fresh Jacobian no longer advances the iteration, an increment as small as the noise is accepted,
-and also an increment below the tolerance in the norm with the coarse floor.
+state is perturbed by one unit in its last place. The change of the increment is the noise, which no iteration
+can remove. If a fresh Jacobian no longer advances the iteration, two kinds of increments are accepted: an
+increment as small as the noise, and an increment below the tolerance in the norm with the coarse floor.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.problem import BlockNorm, NewtonIteration, Problem, Solution, Status, unconverged
 
 NOISE_CAP = 100.0
-"""Cap of an increment that is rounding, in tolerances. A stalled increment is accepted if it is below
-``NOISE_MARGIN`` times the noise, and below the cap in the norm with the coarse floor: in this norm a velocity
-that comes to rest counts by the strain that it makes."""
+"""Largest increment that is accepted as rounding, in tolerances. A stalled increment is accepted if it is
+below the noise (``BlockNorm.noise``), and below this number of tolerances in the norm with the coarse floor.
+In this norm a velocity that comes to rest counts by the strain that it makes."""
 NEAR = 10.0
-"""A stalled increment below this number of tolerances is accepted without a measurement of the noise: the
+"""Number of tolerances below which a stalled increment is accepted without a measurement of the noise. The
 rounding of a stiff pressure may change a slow velocity by as much."""
 HEAP_SIZES = (500_000_000, 2_000_000_000)
-"""Heap sizes for a cell's matrix, bytes, tried if NGSolve's default is too small, as for k = 3, m = 2 in
-3D."""
+"""Sizes of NGSolve's heap, bytes. They are tried if the default heap is too small for a cell's matrix, as for
+k = 3, m = 2 in 3D."""
 _UNITS = (
     ". NGSolve eliminates the unknowns of a cell without scaling, which fails if moduli and (volume of a "
     "cell)/dt differ by twenty orders of magnitude, as in geodynamics in SI units: take units in which these "
@@ -92,7 +92,8 @@ class CondensedJacobian:
         self._rhs = state.CreateVector()
 
     def forget(self) -> None:
-        """Drop the factorisation, so that the next one is new; all ranks have to call this method."""
+        """Drop the factorisation, so that the next solve makes a new one; all ranks have to call this
+        method."""
         if isinstance(self.inverse, PETScInverse):
             self.inverse.release()
         self.inverse = None
@@ -120,12 +121,12 @@ class CondensedJacobian:
 class Newton:
     """Solves R(u; .) = 0 for ``state``; keeps its vectors and factorisation between solves.
 
-    ``update`` recomputes the local unknowns of ``state`` from the other unknowns; ``update_stored`` is called
-    before the form is evaluated at a state for which ``update`` was not called last.  Flow rules are
+    ``update`` recomputes the local unknowns of ``state`` from the other unknowns. ``update_stored`` is called
+    before the form is evaluated at a state for which ``update`` was not the last call.  Flow rules are
     linearised at ``stresses``, which are iterated together with the state.  ``has_energy`` says whether the
     state has a stored energy.  An iterate without energy counts as an iterate without a residual, because the
-    derivative of a logarithm is finite even where the logarithm is not defined.  ``growths`` counts changes
-    of the equations that evaluations cause (``ngvisco.forms.upwinding.Largest``).
+    derivative of a logarithm is finite even where the logarithm is not defined.  ``growths`` counts how often
+    evaluations have changed the equations (``ngvisco.forms.upwinding.Largest``).
     """
 
     def __init__(
@@ -164,7 +165,7 @@ class Newton:
         self._factorise(problem)
 
     def _factorise(self, problem: Problem, residual: BaseVector | None = None) -> None:
-        """Factorise within an iteration; evaluate ``residual`` again if slopes of flow rules have changed."""
+        """Factorise within an iteration; evaluate ``residual`` again if flow rules have got new slopes."""
         self.update_stored()
         slopes_are_new = self.stresses is not None and self.stresses.linearise()
         self.jacobian.factorise(self.state)
@@ -207,8 +208,8 @@ class Newton:
             size = self.norm(self._increment, self._base, u)
             next_size = contraction = np.inf
             renewed = False
-            # the energy is checked first: without an energy the residual is not finite either, which would
-            # hide the reason
+            # the energy is checked first: a state without energy has no finite residual either, and the
+            # residual would not tell the reason
             if self.has_energy() and self._is_finite(self._trial_residual):
                 next_size, contraction = self._following(size)
                 # where matter begins or ceases to yield, the next increment needs new slopes
@@ -302,9 +303,9 @@ class Newton:
     def _noise(self) -> float:
         """The noise (``BlockNorm.noise``) of the present increment.
 
-        The noise includes the state's own change in its last places, which is far smaller than the rest.  A
-        wrong derivative, a fold or a kink of the equations does not enlarge the noise, because increments
-        caused by these do not change with the rounding.
+        The last place of the state itself changes the increment far less.  A wrong derivative, a fold or a
+        kink of the equations does not enlarge the noise: the increments that they cause do not change with
+        the rounding.
         """
         rows, change = (self.state.CreateVector() for _ in range(2))
 

@@ -30,8 +30,8 @@ class SplitOptions:
     """Options of the split solver: its choice, its iteration and its linear systems."""
 
     chosen_from: Pair = (60, 10)
-    """Number of cells above which ``method = "auto"`` takes the split solver; on more cells the split solver
-    is faster (tests/benchmarks)."""
+    """Number of cells above which ``method = "auto"`` takes the split solver, because it is then the faster
+    one (tests/benchmarks)."""
     margin: Positive = 0.1
     """Largest estimated error after the last increment has been added, in tolerances.
 
@@ -40,23 +40,22 @@ class SplitOptions:
     slow: Count = 24
     """Number of iterations after which Newton-Krylov takes over."""
     growth: Positive = 4.0
-    """An iterate is given up if its increment is longer than the smallest increment by more than this factor;
-    the next iterate is half as far from the best iterate."""
+    """Largest ratio of an increment to the smallest increment so far. An iterate whose increment is longer is
+    given up, and the next iterate is half as far from the best iterate."""
     halvings: Count = 5
     """Number of iterates that one attempt may give up."""
     renewed_after: Count = 30
     """Cost of a new operator and preconditioner, in GMRES iterations for the flow.
 
-    Operator and preconditioner are renewed when the increments have taken this number of iterations more than
-    with a new operator, or will take so many more by the contractions so far. A renewal takes as long as 30
-    to 65 iterations.
+    Operator and preconditioner are renewed when the old ones have cost this number of further iterations, or
+    will cost it by the contractions so far. A renewal takes as long as 30 to 65 iterations.
     """
     renewed_above: Positive = 0.05
-    """Increment above which operator and preconditioner are renewed; after a smaller increment only the
-    hyperviscosity, which changes suddenly, is linearised again."""
+    """Increment above which operator and preconditioner are renewed. After a smaller increment only the
+    hyperviscosity is linearised again, because it changes suddenly."""
     stale_above: Positive = 0.2
-    """Ratio of an increment to the one before, above which operator and preconditioner are renewed.  With a
-    steep flow rule such a ratio renews the operator only, and ten times ``renewed_above`` takes the place of
+    """Ratio of an increment to the increment before it, above which operator and preconditioner are renewed.
+    With a steep flow rule such a ratio renews the operator only; both are then renewed above ten times
     ``renewed_above``."""
     bends_above: Positive = 0.03
     """Relative increment of a creep rate field above which operator and preconditioner are renewed, unless
@@ -67,14 +66,14 @@ class SplitOptions:
     flow_iterations: Count = 30
     """Largest number of GMRES iterations for the flow's linear system."""
     direct_up_to: Pair = (3_000, 3_000)
-    """Number of unknowns of v up to which the whole velocity tangent is factorised; with more unknowns two
-    levels are faster.  For several bodies in 2D ``direct_at_most`` takes the place of this number."""
+    """Number of unknowns of v up to which the whole velocity tangent is factorised. With more unknowns two
+    levels are faster.  For several bodies in 2D the limit is ``direct_at_most``."""
     direct_at_most: Pair = (100_000, 15_000)
     """Largest number of unknowns of v with which the whole tangent is factorised for the rest of a step, if
     ``flow_iterations`` with two levels do not solve the flow's system."""
     krylov_below: Positive = 0.05
-    """Increment up to which Newton-Krylov takes over.  An attempt with larger increments continues until it
-    fails, and the time loop halves the step."""
+    """Largest increment at which Newton-Krylov takes over.  An attempt with larger increments continues until
+    it fails; then the time loop halves the step."""
     penalty_degree: Count = 4
     """Degree of the quadrature rule for the derivative of the hyperviscosity's penalty, for k = 2 on straight
     cells; for p = 4 the rule is exact, as jumps are in P_1.  For k = 3 and on curved cells the forms' rule is

@@ -8,13 +8,15 @@ The norm of an increment is
     |d| = max over the unknowns u that evolve of |d_u|_2 / scale_u
 
 of vectors of coefficients, with scale_v = |v|_2 + f sqrt(n) h/tau and scale_u = |u|_2 + f sqrt(n) s_u. Here n
-is the number of coefficients of u and h the smallest cell size, so that a velocity counts by the strain that
-it makes in the step; s_u is the unknown's scale, 0 for rho and 1 for z. The other unknowns are functions of
-the evolving ones. The trace of a density that diffuses by an r-Laplacian is a nonlinear function, and counts
-like rho. A creep rate field Pi changes z by tau Pi only, so that a short step does not determine Pi: with nu
-> 0 Pi counts by s |dPi|_2/(|Pi|_2 + |dPi|_2 + f sqrt(n)/tau). A variable with an ``own_scale``, as the
-entropy, also counts by itself. f is ``FLOOR`` and s is ``SHARE``; a stalled iteration is judged with f =
-``COARSE_FLOOR``, which is larger, except for Pi.
+is the number of coefficients of u, and h is the smallest cell size. A velocity thus counts by the strain that
+it makes in the step. The unknown's scale s_u is 0 for rho and 1 for z. The other unknowns are functions of
+the evolving ones, and do not count. An exception is the trace of a density that diffuses by an r-Laplacian:
+this trace is a nonlinear function, and counts like rho.
+
+A creep rate field Pi changes z by tau Pi only, so that a short step does not determine Pi. With nu > 0, Pi
+counts by s |dPi|_2/(|Pi|_2 + |dPi|_2 + f sqrt(n)/tau). A variable with an ``own_scale``, as the entropy, also
+counts by itself. Here f is ``FLOOR`` and s is ``SHARE``. A stalled iteration is judged with the larger floor
+f = ``COARSE_FLOOR``, except for Pi.
 """
 
 from __future__ import annotations
@@ -31,8 +33,8 @@ from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
 
 NOISE_SAMPLES, NOISE_MARGIN = 2, 10.0
-"""Number of perturbations of the state by which the noise is measured, and margin of a comparison with the
-noise, because increment and noise are random."""
+"""Number of perturbations of the state by which the noise is measured; and the factor by which the measured
+noise is multiplied, because increment and noise are random."""
 FLOOR = 1e-9
 """The floor f of the norm, so small that the iteration also resolves small strains and velocities, as the
 ledger requires."""
@@ -46,9 +48,9 @@ SHARE = 1e-4
 class BlockNorm:
     """The norm |d| of an increment, see the module's docstring.
 
-    ``ranges`` has the blocks of the coefficient vector; ``units`` has the unit s_u of each block that counts,
-    which is h/tau for "v".  A ``shared`` block counts by ``SHARE`` times its relative increment.
-    ``exchange`` belongs to the vectors' space, if ranks may share the space.
+    ``ranges`` has the blocks of the coefficient vector; ``units`` has the unit s_u of each block that counts
+    (for "v" the unit is h/tau).  A ``shared`` block counts by ``SHARE`` times its relative increment.
+    ``exchange`` belongs to the space of the vectors, and is needed if several ranks share this space.
     """
 
     def __init__(
@@ -75,8 +77,8 @@ class BlockNorm:
         return self.sizes(increment, *states, coarse=coarse)[0]
 
     def sizes(self, increment: BaseVector, *states: BaseVector, coarse: bool = False) -> tuple[float, float]:
-        """Return |increment|, and the relative increment of the shared block, in [0, 1], which is 0 without a
-        shared block."""
+        """Return |increment|, and the relative increment of the shared block, in [0, 1]. Without a shared
+        block the second number is 0."""
         sizes, turned, floor = [], 0.0, COARSE_FLOOR if coarse else FLOOR
         vectors = [u.FV().NumPy() for u in (increment, *states)]
         parts = [[vector[places] for vector in vectors] for places in self._own.values()]
@@ -95,8 +97,8 @@ class BlockNorm:
         return float(np.max(sizes)), float(turned)
 
     def noise(self, state: BaseVector, exchange: Exchange, change: Callable[[], float]) -> float:
-        """Return ``NOISE_MARGIN`` times the largest ``change`` of an increment if all numbers of the state
-        change in their last place.  The state is kept."""
+        """Return the noise: ``NOISE_MARGIN`` times the largest ``change`` of an increment if all numbers of
+        the state change in their last place.  The state is kept."""
         values, sizes = state.FV().NumPy(), list[float]()
         kept, signs = values.copy(), np.random.default_rng(0)  # a repeated run gets the same bits
         for _ in range(NOISE_SAMPLES):
@@ -120,7 +122,7 @@ class Status(Enum):
 
 @dataclass(frozen=True)
 class NewtonIteration:
-    """One line of a solver's history; increment and contraction are in the norm of this module."""
+    """One iteration in a solver's history; increment and contraction are in the norm of this module."""
 
     increment: float
     contraction: float
@@ -155,7 +157,7 @@ def unconverged(status: Status, history: Sequence[NewtonIteration], name: str, t
 
 @dataclass(frozen=True)
 class Attempt:
-    """One entry of a step's history: the name of the start values, and the end of the attempt."""
+    """One attempt in a step's history: the name of its start values, and its solution or failure."""
 
     start: str
     solution: Solution

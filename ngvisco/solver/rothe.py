@@ -31,30 +31,30 @@ _FACTORISED_AT = "state", "state_old", "lagged"
 """Names of the states on which a factorisation depends; a checkpoint stores all of their unknowns."""
 
 _BY_SPLIT = "factorised_by_split"
-"""Name of a checkpoint's number, which is 1 if the state of the last factorisation has only the unknowns on
-which the split solver iterates."""
+"""Name of a number in checkpoints. The number is 1 if the stored state of the last factorisation has only the
+unknowns on which the split solver iterates."""
 
 _TOO_FAST = 0.8
-"""The split solver scales a faster start value of the velocity down to this Courant number: if tau grad v is
-above one, the linearised rates of the variables lead away from the solution."""
+"""Largest Courant number of the split solver's start value; a faster velocity is scaled down to it. If tau
+grad v is above one, the linearised rates of the variables lead away from the solution."""
 
 _SHORTEST, _FACTOR, _LENGTHS = 0.25 / 8**3, 4.0, 20
 """Attempts with steps of growing length: first length as a fraction of the step, factor between two lengths,
 and largest number of attempts."""
 
 _TOO_FAR = 0.5
-"""Extrapolated values are not tried if the extrapolation changes the velocity by more than this |dv| tau/h,
-as after the first of several long steps."""
+"""Largest change of the velocity by extrapolation, as a Courant number |dv| tau/h. Extrapolated values beyond
+it are not tried, as after the first of several long steps."""
 
 _DAMPED = "from the last state, damped"
-"""Name of the last attempt for flow rules. In a body that yields with little inertia, undamped increments
-would alternate in sign, each as large as the velocity."""
+"""Name of the last attempt, which is for flow rules. In a body that yields with little inertia, undamped
+increments would alternate in sign, each as large as the velocity."""
 
 
 class RotheSolver:
     """Solves a Step, the implicit Euler formula (paper: Euler-large-viscoelastodyn+disc).
 
-    ``defect`` returns the defect of a solution (rho <= 0, J <= 0, not finite) in words, or None.  The
+    ``defect`` returns the defect of a solution in words (rho <= 0, J <= 0, not finite), or None.  The
     equations of a long step also have solutions of negative density, which are not accepted.
     """
 
@@ -109,10 +109,10 @@ class RotheSolver:
             self.newton.reset()
 
     def workers(self) -> AbstractContextManager[None]:
-        """A context with NGSolve's threads for the coupled solver, and without them for the split solver.
+        """A context that gives NGSolve's threads to the coupled solver, and takes them from the split solver.
 
-        The split solver works on arrays; sums that NGSolve's threads share differ in the last bits from run
-        to run.
+        The split solver works on arrays, and its bits have to be the same in every run: sums that NGSolve's
+        threads share differ in the last bits from run to run.
         """
         return nullcontext() if self.method == "coupled" else on_arrays()
 
@@ -150,13 +150,13 @@ class RotheSolver:
         return False
 
     def on_sides(self, integrands: OnSides) -> dict[str, np.ndarray]:
-        """Rows of v of the integrands on the cells' sides, from the split solver's arrays; empty with the
-        coupled solver."""
+        """Rows of v of the integrands on the cells' sides, computed by the split solver's arrays; empty with
+        the coupled solver."""
         return rows_on_sides(self.newton.residual, integrands) if isinstance(self.newton, Split) else {}
 
     def dissipated_on_sides(self) -> dict[str, float]:
-        """The terms' dissipation on the cells' sides, W, from the split solver's arrays; empty with the
-        coupled solver."""
+        """The terms' dissipation on the cells' sides, W, computed by the split solver's arrays; empty with
+        the coupled solver."""
         return dissipated_on_sides(self.newton.residual) if isinstance(self.newton, Split) else {}
 
     def problem(self, interval: Interval) -> RotheProblem:
@@ -166,8 +166,8 @@ class RotheSolver:
     def solve(self, interval: Interval) -> list[Attempt]:
         """Solve the step from ``step.old``; ``step.state``, the start value, becomes the solution.
 
-        The step's history is returned; its last entry is the solution.  Raises StepError, with the history,
-        if no solution with positive rho and J is found; the state is the start value again.
+        Returns the step's history, whose last entry is the solution.  Raises StepError, with the history, if
+        no solution with positive rho and J is found; the state is then the start value again.
         """
         self.start.data = self.step.state.vec
         self.step.stresses.begin()
@@ -187,7 +187,7 @@ class RotheSolver:
             else:
                 if self.method == "split" or not self._grows(interval, attempts):
                     failed = [attempt.solution for attempt in attempts if not attempt.solution.converged]
-                    reason = failed[-1].reason  # the last attempts may be shorter steps that were solved
+                    reason = failed[-1].reason  # shorter steps may have been solved after the last failure
                     notes = dict.fromkeys(note for note in self._met if note not in reason)
                     raise StepError("; ".join([reason, *notes]), attempts)
         except BaseException:  # also after an interrupt, no iterate may remain
@@ -230,7 +230,7 @@ class RotheSolver:
             else:
                 self.newton.reset()
                 factor **= 0.5
-                if solved * factor**left < 1:  # out of reach
+                if solved * factor**left < 1:  # the attempts that are left cannot reach the whole step
                     return False
             length = min(1.0, solved * factor)
         return False
@@ -239,7 +239,7 @@ class RotheSolver:
         return vector.FV().NumPy()[self.step.layout.ranges["v"]]
 
     def _courant(self, interval: Interval, values: BaseVector) -> float:
-        """The Courant number |v| tau/h of the largest coefficient and the smallest cell."""
+        """The Courant number |v| tau/h from the largest coefficient of v and the smallest cell."""
         return self.ranks.most(abs(self._velocity(values)).max(initial=0.0)) * interval.tau / self.h_min
 
     def _attempt(self, interval: Interval, guess: BaseVector, damps: bool = False) -> Solution:
@@ -256,8 +256,7 @@ class RotheSolver:
         self.reset()
 
     def reset(self) -> None:
-        """Drop the data kept of earlier steps; call this after the state has been set by anything but a
-        step."""
+        """Drop the data of earlier steps. Call this method after anything but a step has set the state."""
         self.extrapolation.drop()
         self.newton.reset()
 
@@ -307,7 +306,7 @@ class RotheSolver:
     def _set(self, values: dict[str, np.ndarray]) -> None:
         for name, vector in self._vectors().items():
             vector[:] = values[name]
-        self.step.start_from_old()  # the numerical heating of backward Euler brings m_old into the derivative
+        self.step.start_from_old()  # the derivative reads m_old, by the numerical heating of backward Euler
 
     def _part(self, name: str) -> slice:
         """Range of the vector ``name`` in an array of a whole state."""
@@ -366,7 +365,7 @@ def _norm(step: Step, exchange: Exchange) -> BlockNorm:
     """The norm of the step's increments."""
     units = {name: step.layout.unknowns[name].scale for name in step.layout.evolving}
     if "rho_delta_hat" in step.layout.ranges:
-        units["rho_delta_hat"] = 0.0  # at a uniform density this equation has cubic terms only
+        units["rho_delta_hat"] = 0.0  # at a uniform density all terms of this equation are cubic
     shared = {"Pi"} & set(step.layout.ranges)
     units |= dict.fromkeys(shared, 0.0)
     ranges, states = dict(step.layout.ranges), step.layout.states

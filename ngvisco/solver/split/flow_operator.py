@@ -5,12 +5,12 @@ carries this change (``TransportSweeps``), and the resulting dz changes the elas
 Schur complement of Newton's matrix when z is eliminated. ``ngvisco.solver.split.point_tangent`` has the
 fields' response to an increment at a point.
 
-Element matrices are integrated by a coarse rule, except the mass matrix, which would be singular by a rule
-that does not determine all of P_k.  Each cell has three element matrices: from v to rows of v, from v to rows
-of the fields, and from the fields to rows of v.  A product with the operator therefore takes three small
-dense products a cell, independently of the number of points.  The order of unknowns in a cell follows from
-the products that form the matrices.  An increment of v is ordered by components and then functions, (dim,
-local).  Rows of v, (local, dim), and fields, (q, n), are ordered by functions and then components.
+Element matrices are integrated by a coarse rule. The mass matrix is an exception: it would be singular by a
+rule that does not determine all of P_k.  Each cell has three element matrices: from v to rows of v, from v to
+rows of the fields, and from the fields to rows of v.  A product with the operator therefore takes three small
+dense products a cell, whatever the number of points.  The order of unknowns in a cell follows from the
+products that form the matrices.  An increment of v is ordered by components and then functions, (dim, local).
+Rows of v, (local, dim), and fields, (q, n), are ordered by functions and then components.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ from ngvisco.solver.split.transport import TransportSweeps
 class FlowSchurComplement:
     """The flow's linear operator, linearised at the evaluation of the last ``update``, as element matrices.
 
-    ``to_velocity`` maps v to rows of v, (cells, local dim, dim local), and ``to_fields`` to rows of the
-    fields, (cells, q n, dim local); ``from_fields`` maps increments of the fields by the transport alone to
+    ``to_velocity`` maps v to rows of v, (cells, local dim, dim local), and ``to_fields`` maps v to rows of
+    the fields, (cells, q n, dim local). ``from_fields`` maps the fields' increments by the transport alone to
     rows of v, (cells, local dim, q n).
     """
 
@@ -49,7 +49,7 @@ class FlowSchurComplement:
         u, self.op = residual.unknowns, points.op
         op, self.dim, self.components = self.op, residual.step.mesh.dim, points.components
         self.nv, self.size = u.slices["v"].stop, u.flow_slice.stop
-        """Number of unknowns of v, and number of unknowns of the flow without normal derivatives."""
+        """Number of unknowns of v, and number of the flow's unknowns without the normal derivatives a."""
         self.gradients = residual.rates.tensors.gradients
         """Number of entries of grad v on which the fields' rates depend."""
         self.by_forms: RestrictedForm | None = None
@@ -58,8 +58,7 @@ class FlowSchurComplement:
         self.leading, self.inertial = residual.couplings.of_gradients(), residual.couplings.of_inertia()
         self._assembled = ElementAssembly(op.v.unknowns, op.v.width)
         self.cells, self.local, self.functions = op.v.cells, op.v.local, op.z.local
-        # in a periodic strip of one cell, a cell has the same unknown twice: zeros fill up the blocks of the
-        # cell
+        # in a periodic strip of one cell, two local unknowns of a cell are the same: zeros fill up the blocks
         shapes = np.stack([part.blocks.reshape(-1, self.local) for part in (op.v, *op.slopes("v"))], axis=1)
         self._shapes = shapes.astype(precision.SINGLE)  # (points, 1 + d, local)
         self._scatter = op.v.scatter.astype(precision.SINGLE)
@@ -88,8 +87,8 @@ class FlowSchurComplement:
         self.rest = self._rest()
 
     def _form(self, part: tuple[slice, CellTerms, CellPart], at: Evaluation) -> None:
-        """Form the element matrices of some cells: inertia by the residual's rule, the rest by the coarse
-        rule."""
+        """Form the element matrices of some cells. The inertia is integrated by the residual's rule, all
+        other parts by the coarse rule."""
         where, terms, fine = part
         p = self.points.update(where, terms, at)
         d, n, local, q, per = self.dim, self.components, self.local, self.functions, self.op.v.per_cell
@@ -115,8 +114,8 @@ class FlowSchurComplement:
         to_fields = np.matmul(z_tests, right.reshape(cells, per, n * d * local))
         to_fields = to_fields.reshape(cells, q * n, d, local)
         if self.has_interfaces:
-            # jumps within one body are small, and upstream sides change while the iterate is far from the
-            # solution
+            # only interfaces of bodies need this part: jumps within one body are small, and there the
+            # upstream sides change while the iterate is far from the solution
             through = self._through_sides(fine, at)
             to_fields[..., : through.shape[3]] += through  # basis functions inside the cell come last
         self.to_fields[where] = to_fields.reshape(cells, q * n, d * local)
@@ -143,7 +142,7 @@ class FlowSchurComplement:
         p.resolvent.astype(precision.SINGLE).after(precision.single(back), self.from_fields[where])
 
     def _through_sides(self, part: CellPart, at: Evaluation) -> np.ndarray:
-        """From v on the cells' sides to rows of the fields, (cells, q n, dim, functions).
+        """The map from v on the cells' sides to rows of the fields, (cells, q n, dim, functions).
 
         B_h and upwinding carry (|v . n| - v . n) (z - z_hat) into a cell, whether a field is a density or
         not."""
@@ -181,7 +180,7 @@ class FlowSchurComplement:
         matrix = None if self.by_forms is None else self.by_forms.jacobian()
         if "Pi" not in self.residual.unknowns.velocity_block:
             return matrix
-        # the change of M by an increment of a creep rate field Pi; the coupling to v is left out
+        # the change of M by an increment of a creep rate field Pi; this matrix omits its coupling to v
         first, values = self.gradients, self.op.of("Pi").matrix
         C = self.points.stiffness()[:, first:, first:] * self.op.weights[:, None, None]
         size = C.shape[1]
@@ -200,7 +199,7 @@ class FlowSchurComplement:
             result[: self.nv] += self._with_fields(dv).ravel()
             return result
         x, hyper = np.concatenate([dv, flow[self.size :].reshape(self.dim, -1)], axis=1), self.derivative
-        # only this thread may sum over ranks: it calls the first function, the response of the fields
+        # only this thread may sum over ranks, and it calls the first function, the response of the fields
         rows, of_x = self.residual.at_once(lambda: self._with_fields(dv), lambda: hyper(x))
         rows += of_x[:, : dv.shape[1]]
         result[: self.nv] += rows.ravel()
@@ -217,7 +216,7 @@ class FlowSchurComplement:
         return (self._scatter @ rows.reshape(self.cells * self.local, self.dim)).T
 
     def _with_fields(self, dv: np.ndarray) -> np.ndarray:
-        """Rows of v, (dim, .), from an increment of v, with the fields' response and without
+        """Rows of v, (dim, .), from an increment of v. The rows contain the fields' response, and omit the
         hyperviscosity."""
         rows, height = np.matmul(self._of_velocity, self._gathered(dv)), self.dim * self.local
         carried = self.sweep.fields(-rows[:, height:].reshape(-1, self.components))
@@ -226,14 +225,14 @@ class FlowSchurComplement:
         return self._scattered(of_cells)
 
     def force(self, dz: np.ndarray) -> np.ndarray:
-        """Rows of v, (dim, .), from an increment of z by the transport alone, (cells' unknowns, n).
+        """Rows of v, (dim, .), from the fields' increment by the transport alone, (cells' unknowns, n).
 
         On each rank the rows are sums over that rank's cells."""
         fields = dz.reshape(self.cells, self.from_fields.shape[2], 1)
         return self._scattered(np.matmul(self.from_fields, fields))
 
     def force_of(self, dz: np.ndarray) -> np.ndarray:
-        """Rows of v, (dim, .), from an increment of z, (cells' unknowns, n), in double precision.
+        """Rows of v, (dim, .), from the fields' whole increment, (cells' unknowns, n), in double precision.
 
         On each rank the rows are sums over that rank's cells."""
         op, p, d, plane = self.op, self.points, self.dim, self.dim**2
@@ -255,7 +254,7 @@ class FlowSchurComplement:
         return rows
 
     def _rows_of(self, hyper_tangent: sp.csr_matrix | None, i: int, dtype: type) -> sp.csr_matrix:
-        """Rows of component i of v, from element matrices and one component's hyperviscosity."""
+        """Rows of component i of v: the sum of the element matrices and one component's hyperviscosity."""
         cells, n = self._in_cells(i), self.op.v.width
         blocks = [self._assembled(cells[:, :, k]) for k in range(self.dim)]
         del cells
@@ -281,8 +280,8 @@ class FlowSchurComplement:
     def tangent(self, at: Evaluation, hyper: HyperTangent | None, dtype: type = np.float64) -> sp.csr_matrix:
         """The velocity tangent: a sparse matrix that approximates the operator, cell by cell.
 
-        ``at`` is the evaluation of the last ``update``.  The transport is replaced by its block in each cell,
-        without the neighbours' contribution, so that the tangent is a sum over the cells.  The tangent's
+        ``at`` is the evaluation of the last ``update``.  Each cell's own block replaces the transport, and
+        the neighbours' contribution is left out, so that the tangent is a sum over the cells.  The tangent's
         unknowns are the flow's unknowns, followed by the normal derivatives that ``hyper`` keeps.  All other
         normal derivatives are a = E v: the mean of both sides' d_n v, weighted by the hyperviscosity's
         coefficient.  On each rank the sum is over that rank's cells.  If v is the only unknown with rows,

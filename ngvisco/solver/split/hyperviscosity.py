@@ -1,14 +1,14 @@
-"""The hyperviscosity's derivative in a direction (dv, da), for the flow's linear system, and its tangent; a
-are the facets' normal derivatives of v.
+"""The hyperviscosity's derivative in a direction (dv, da), for the flow's linear system, and its tangent.
 
-In a cell the law depends on x = (v, a) through B x: the coefficients of Hs, and the jumps at the sides'
-points. One small dense product gives B x for all components of v, (cells, dim, rows).  Arrays have the points
-last, so that sums run at the speed of memory. The rows of (v, a) are B^T times the law's derivative by B x.
-The velocity tangent eliminates the unknowns a, except on facets between ranks. On these facets each rank has
-one side, and the unknowns a are kept, so that the matrix is a sum over the ranks' cells.
+The unknowns a are the normal derivatives of v on facets. In a cell the law depends on x = (v, a) through B x:
+the coefficients of Hs, and the jumps at the sides' points. One small dense product gives B x for all
+components of v, (cells, dim, rows).  Arrays have the points last, so that sums run at the speed of memory.
+The rows of (v, a) are B^T times the law's derivative by B x. The velocity tangent eliminates the unknowns a,
+except on facets between ranks. On these facets each rank has one side, and the unknowns a are kept, so that
+the matrix is a sum over the ranks' cells.
 
-The derivative is written by hand since complex increments of the rows take 3 to 5 times as long
-(``tests/benchmarks/kernels.py``); ``tests/solver/test_split_solver.py`` compares the derivative with the
+The derivative is written by hand, since complex increments of the rows take 3 to 5 times as long
+(``tests/benchmarks/kernels.py``). ``tests/solver/test_split_solver.py`` compares the derivative with the
 rows.
 """
 
@@ -75,8 +75,8 @@ class HyperDerivative:
         self._unit = unit = largest(c)
 
         def rounded(values: np.ndarray, unit: float) -> np.ndarray:
-            """Scale by ``unit``, because numbers in SI units may exceed the range of single precision; add an
-            axis for components."""
+            """Divide by ``unit``, because numbers in SI units may exceed the range of single precision; add
+            an axis for components."""
             return (values / unit).astype(self.dtype)[:, None]
 
         def of_sides(values: np.ndarray, unit: float) -> np.ndarray:
@@ -138,8 +138,9 @@ class HyperDerivative:
     def tangent_coefficients(self, at: HyperValues) -> tuple[np.ndarray, np.ndarray]:
         """Coefficients of |Hs|^2, (cells,), and of the penalty, (sides' points,), for ``HyperTangent``.
 
-        The second derivative of |.|^p/p couples the components of v.  Each coefficient is the mean of this
-        derivative's smallest and largest eigenvalue, c + (c - mu_1)(p - 2)/2.
+        The second derivative of |.|^p/p couples the components of v, and the tangent has no such coupling.
+        Each coefficient is the mean of the smallest and the largest eigenvalue of this second derivative,
+        c + (c - mu_1)(p - 2)/2.
         """
         h, law, sides, values = self.hyper, self.hyper.law, self.sides, self._on_sides(at)
         in_cells, z_on_sides = h.tensors(at.z), values.z_tensors
@@ -160,9 +161,9 @@ class HyperDerivative:
 
 
 class _Interpolated:
-    """Map of coefficients to values at points by the matrices ``blocks``, (cells, points, functions), and its
-    transpose, ``tested``.
+    """Maps coefficients to values at points by the matrices ``blocks``, (cells, points, functions).
 
+    ``tested`` is the transpose of the map.
     A single constant function is handled without matrix products.
     """
 
@@ -179,10 +180,10 @@ class _Interpolated:
 
 
 class HyperTangent:
-    """The hyperviscosity's tangent in v and the kept unknowns of a; the other unknowns of a are E v."""
+    """The hyperviscosity's tangent in v and the kept unknowns of a. All other unknowns of a are E v."""
 
     def __init__(self, derivative: HyperDerivative, kept: np.ndarray) -> None:
-        """``kept`` are the unknowns of one component of a that are not eliminated."""
+        """``kept`` are the numbers of the unknowns of one component of a that are not eliminated."""
         self.derivative, self.kept = derivative, kept
         values, h = derivative.of_component, derivative.hyper
         others = np.setdiff1d(np.arange(values.width - h.velocities), kept)

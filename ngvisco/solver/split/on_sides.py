@@ -1,7 +1,7 @@
 """Integrals over the cells' sides in the step's state, by arrays, for the ledger.
 
-Values at all points at once would take more memory than the iteration. Each function therefore works part by
-part.
+The ledger needs no values at all points at once, which would take more memory than the iteration. Each
+function therefore works on one part of the mesh after another.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ def rows_on_sides(residual: ReducedResidual, integrands: OnSides) -> dict[str, n
 
 
 def dissipated_on_sides(residual: ReducedResidual) -> dict[str, float]:
-    """The terms' dissipation, W, by the ledger's names.
+    """The terms' dissipation on the cells' sides, W, by the ledger's names.
 
-    Terms are left out if they read values that are not available as arrays at points."""
+    A term is left out if it reads values that arrays at points do not have."""
     c = residual.of_state(residual.facet_terms.names)
     iterated = residual.unknowns.coefficients(residual.unknowns.pack()) | residual.of_state(["hess_square"])
 

@@ -4,9 +4,12 @@ Without convection and fluxes through facets the fields follow
 
     dz = tau (1 - tau K)^{-1} (d rate/dX) X,    K = d(rate + creep + terms of z)/dz.
 
-With the elastic force zeta : rate(z; X) a point has the stiffness C = tau (zeta : T + (d rate/dX)^T phi'') (1
-- tau K)^{-1} (d rate/dX), which stress or creep make nonsymmetric.  Terms integrated by the collocated rule
-(``Quadrature.collocated``), as nonlinear creep, contribute to K at the points of this rule.
+With the elastic force zeta : rate(z; X) a point has the stiffness
+
+    C = tau (zeta : T + (d rate/dX)^T phi'') (1 - tau K)^{-1} (d rate/dX),
+
+which stress or creep make nonsymmetric.  Some terms, as nonlinear creep, are integrated by the collocated
+rule (``Quadrature.collocated``). These terms contribute to K at the points of this rule.
 """
 
 from __future__ import annotations
@@ -30,8 +33,8 @@ from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.reduced.slope import PointwiseSlope
 
 _ENTRIES = 800_000
-"""Largest number of entries of phi'', and of K, at the points of one part, which stay in the processor's
-cache."""
+"""Largest number of entries of phi'', and of K, at the points of one part. Arrays of this size stay in the
+processor's cache."""
 
 
 class _AtPoints:
@@ -58,9 +61,9 @@ class _AtPoints:
         """Yield the derivatives by z of the arrays that ``read`` returns, where d zeta = phi''(z) dz.
 
         Each item has the numbers of some components of z, and the derivatives by these components; all other
-        derivatives vanish.  The arguments of ``read`` are fields at repeated points, and the number of
-        repetitions. Many arrays do not depend on components of z that belong to one branch or body; one
-        random increment of all these components tests this.
+        derivatives vanish.  ``read`` is called with fields at repeated points, and with the number of
+        repetitions. Many arrays do not depend on the components of z that belong to one branch or body. One
+        random increment of all these components tests whether an array depends on them.
         """
         is_own, every = self.slope.owner >= 0, np.eye(self.components)
         probe = np.random.default_rng(0).standard_normal((1, self.components, 1)) * is_own[:, None]
@@ -81,7 +84,8 @@ class _AtPoints:
         return slice(self.op.z.per_cell * cells.start, self.op.z.per_cell * cells.stop)
 
     def tested(self, cells: slice, groups: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """tau P K for the coefficients of some cells and of each group of n components, (cells, q n, q n)."""
+        """tau P K for the coefficients of some cells, one array (cells, q n, q n) for each group of n
+        components."""
         z = self.op.z.part(cells)
         values = self.tau * self.rate_slope[self._places(cells)]
         kind = np.float64 if abs(values).max(initial=0.0) > 1 else precision.SINGLE
@@ -110,8 +114,8 @@ class CollocatedTangent(_AtPoints):
         super().__init__(residual, terms, residual.couplings.collocated())
 
     def update(self, at: Evaluation) -> None:
-        """Form K from the slopes of the flow rules, which are linearised anew at their linearisation
-        stresses."""
+        """Form K from the slopes of the flow rules, after the rules are linearised anew at their
+        linearisation stresses."""
         self.tau = self.residual.step.context.tau.Get()
         self.residual.step.stresses.linearise()
         u = self.terms.fields(at.coefficients)
@@ -156,8 +160,8 @@ class PointTangent(_AtPoints):
         n, X = self.components, len(rates.tensors.constant)
         self.rate_slope = np.zeros((count, n, n), precision.SINGLE if self.collocated is None else np.float64)
         self._kept: dict[int, tuple[int, Resolvent | None]] = {}
-        """Number of terms of the resolvent's series, and the resolvent if it is stored, by the first cell of
-        a part."""
+        """Number of terms of the resolvent's series, and the resolvent (None if it is not stored); the key is
+        the first cell of a part."""
         self.force: np.ndarray | None = None
         self.columns: np.ndarray | None = None
         self._of_mechanisms = [self._relaxed(i) for i in range(len(rates.mechanisms))]
@@ -168,7 +172,7 @@ class PointTangent(_AtPoints):
         self.weight: np.ndarray | None = None
         """Derivative by z of the inertia and the weight in the rows of v, (points, d, n)."""
         if self.collocated is not None or "Pi" in residual.unknowns.velocity_block:
-            # with steep rules or a creep rate field, the arrays are needed at all points at once
+            # steep rules or a creep rate field need the arrays at all points at once
             self.force, self.columns = np.zeros((count, X, n)), np.zeros((count, n, X))
             if self._weighing:
                 self.weight = np.zeros((count, rates.dim, n))
@@ -177,13 +181,13 @@ class PointTangent(_AtPoints):
         return {mean.name: mean.value(u).value for mean in self._means} | super()._factors(terms, u)
 
     def begin(self, at: Evaluation) -> None:
-        """Start the linearisation at an evaluation: linearise at the collocation points of all cells."""
+        """Begin to linearise at an evaluation; linearise the collocated terms in all cells."""
         self.tau = self.residual.step.context.tau.Get()
         if self.collocated is not None:
             self.collocated.update(at)
 
     def update(self, cells: slice, terms: CellTerms, at: Evaluation) -> PointValues:
-        """Form K and its resolvent in some cells; return d rate/dX and the force's derivative."""
+        """Form K and its resolvent in some cells; return the values at their points."""
         u = terms.fields(at.coefficients)
         rates, where = self.residual.rates, terms.op.places
         columns = rates.columns(u.z.value, rates.openings(u))
@@ -212,11 +216,11 @@ class PointTangent(_AtPoints):
 
         All three are derivatives by z with d zeta = phi''(z) dz.
 
-        Rates are products with constant tensors; creep depends on z through its driving stress, whose
-        derivatives ``force`` has.  Other dependences of creep on z and zeta, and terms that depend on z or
-        zeta, are differentiated by complex increments.  To leading order the increment of -(w . grad z) :
-        zeta, with its part on facets, is div w times phi'(z) : dz; the flux of densities is approximated
-        alike.
+        Rates are products with constant tensors. Creep depends on z through its driving stress, whose
+        derivatives are among those of the force.  Creep may depend on z and zeta in other ways; this
+        dependence, and terms that depend on z or zeta, are differentiated by complex increments.  To leading
+        order the increment of -(w . grad z) : zeta, with its part on facets, is div w times phi'(z) : dz. The
+        flux of densities is approximated in the same way.
         """
         rates, curvature, z, zeta = self.residual.rates, self._curvature(u), u.z.value, u.zeta.value
         g, plane = rates.tensors.gradients, rates.dim**2
@@ -250,7 +254,7 @@ class PointTangent(_AtPoints):
                 slopes["v"][0] = 0.0
             for name in slopes.keys() - {"z", "grad z", "grad v"}:
                 *kind, components, points = slopes[name].shape  # kind is empty for a number
-                size = math.prod(kind)  # a length -1 would fail on a rank without cells
+                size = math.prod(kind)  # reshape could not infer a length -1 on a rank without cells
                 of_name = beside.setdefault(name, np.zeros((len(K), size, len(z))))
                 of_name[:, :, some] = slopes[name].reshape(size, components, points).transpose(2, 0, 1)
         return K, force, beside
@@ -270,8 +274,8 @@ class PointTangent(_AtPoints):
         return np.flatnonzero(is_relaxed), np.flatnonzero(is_read)
 
     def _creep_at_stress(self, u: Fields) -> Callable[[Fields, int], dict[str, np.ndarray]]:
-        """A function for ``_slopes``: it returns the creep rates Pi of all mechanisms at changed fields, with
-        the Mandel stresses kept at those of ``u``."""
+        """A function for ``_slopes`` that returns the creep rates Pi of all mechanisms at changed fields; the
+        Mandel stresses stay those of ``u``."""
         rates = self.residual.rates
         stresses = [rates.mandel(u, mechanism).value for mechanism in rates.mechanisms]
 
@@ -309,7 +313,7 @@ class PointTangent(_AtPoints):
         return slopes
 
     def fields_rows(self, dz: np.ndarray) -> np.ndarray:
-        """Rows (K dz, .), including those of the collocated terms."""
+        """Rows (K dz, .), with the rows of the collocated terms."""
         return self.rows(dz) if self.collocated is None else self.rows(dz) + self.collocated.rows(dz)
 
     def stiffness(self) -> np.ndarray:
@@ -319,7 +323,7 @@ class PointTangent(_AtPoints):
         return self.tau * self.force @ (resolvent @ self.columns)
 
     def _resolvent(self, cells: slice) -> Resolvent:
-        """The resolvent of some cells; it is stored if the mesh is one part, or if no series replaces it."""
+        """The resolvent of some cells. It is stored if the mesh is one part, or if no series replaces it."""
         groups = self._groups(cells)
         tested = self.tested(cells, groups)
         if self.collocated is not None:
@@ -333,12 +337,11 @@ class PointTangent(_AtPoints):
         return resolvent
 
     def _groups(self, cells: slice) -> list[np.ndarray]:
-        """Groups of components by which the resolvent of some cells is inverted: each branch with the shared
-        components.
+        """Groups of components by which the resolvent of some cells is inverted.
 
-        If the rate of a branch depends on another branch, or the rate of a shared component on a branch,
-        there is one group of all components.  In all other cases each group has an inverse of its own, since
-        products of the matrices do not mix groups.
+        A group is a branch together with the shared components. Each group has an inverse of its own, since
+        products of the matrices do not mix groups. If the rate of a branch depends on another branch, or the
+        rate of a shared component on a branch, there is one group of all components.
         """
         owner, every = self.slope.owner, np.arange(self.components)
         if owner.max(initial=-1) < 1:
@@ -356,8 +359,8 @@ class PointTangent(_AtPoints):
         fields' space.
 
         The resolvent acts on coefficients, not on values at points: tau K may be large at single points of a
-        cell, where matter yields.  On a mesh of several parts, where tau P K is small, a series replaces the
-        cells' matrices, which would take more memory.
+        cell, where matter yields.  On a mesh of several parts the cells' matrices would take too much memory.
+        Where tau P K is small, a series then replaces them.
         """
         op, n, result = self.op.z, self.components, np.empty(dz.shape, self.rate_slope.dtype)
         for cells, *_ in self.parts:

@@ -3,10 +3,11 @@
 First P^{-1} solves the flow's linear system, in which sweeps of the transport give the fields.  Then P^{-1}
 solves the fields' linear equations with the increment of the velocity. The equations for dz are T dz - (K dz,
 .) = rows, with the transport T (``TransportSweeps``) and the derivative K of rates and creep
-(``PointTangent``); the equation for drho has no K. Sweeps, followed by (1 - tau K)^{-1} in every cell, invert
-T - K up to tau^2 (products of T and K) and the sweeps' remainder. Sweeps are accurate if the Courant number
-and the strain of a step are below a half. If Courant number or strain is above one, even in a single cell, as
-at a wall that starts to move at once, sweeps diverge, and serve only as a preconditioner of GMRES.
+(``PointTangent``); the equation for drho has no K. The inverse of T - K is approximated by sweeps, followed
+by (1 - tau K)^{-1} in every cell. The errors are tau^2 times products of T and K, and the sweeps' remainder.
+Sweeps are accurate if the Courant number and the strain of a step are below a half. If Courant number or
+strain is above one, even in a single cell, as at a wall that starts to move at once, sweeps diverge. They
+then serve only as a preconditioner of GMRES.
 """
 
 from __future__ import annotations
@@ -36,11 +37,9 @@ TOLERANCE, ITERATIONS = 0.05, 20
 """Tolerance of the increments of z and rho, and the largest number of their GMRES iterations."""
 ENOUGH, ENOUGH_WHERE_STEEP = 0.15, 0.05
 """Largest relative residual with which sweeps are accepted without GMRES; Newton's iteration contracts by
-about the same factor. The second value is for steep rules, which are local creep rules that are not
-linear."""
+about the same factor. The second value is for steep flow rules, which are local and not linear."""
 _LINEAR = 1e-3
-"""If the tolerance of the flow's linear system is above this value, GMRES directions are in single
-precision."""
+"""Tolerance of the flow's linear system above which GMRES directions are in single precision."""
 _IN_WORDS = {"wall_stress": "stresses of oblique or curved walls", "Pi": "a creep rate field"}
 
 
@@ -52,8 +51,8 @@ class FieldsSystem:
         self.operator, self.sweep, self.enough = operator, operator.sweep, enough
         self.iterations = ITERATIONS
         self._swept_is_enough: set[Operator] = set()
-        """Approximate inverses that have solved a system by one application since the operator's last
-        update."""
+        """Approximate inverses that one application has shown to be accurate enough, since the last update of
+        the operator."""
 
     def renew(self) -> None:
         """Let the next solution of each system test anew whether sweeps suffice."""
@@ -125,8 +124,8 @@ class Preconditioner:
         k, m = step.discretisation.k, step.discretisation.m
         thick = step.model.viscosity
         bends = thick is not None and not thick.is_linear
-        # a coarse rule misses a steep viscosity, and bodies' moduli that vary within a cell: the increments
-        # of a slab would shrink only by the factor 0.99
+        # on a coarse rule the increments of a slab would shrink only by the factor 0.99: the rule misses a
+        # steep viscosity, and moduli of bodies that vary within a cell
         varies = len(step.model.bodies) > 1
         # on triangles and without hyperviscosity, a rule of degree 2 (k - 1) misses a part of convection: at
         # a Courant number of 0.2 a step takes 16 iterations and seven operators instead of 9 and one
@@ -142,7 +141,7 @@ class Preconditioner:
         self.fields = FieldsSystem(self.operator, ENOUGH_WHERE_STEEP if step.stresses else ENOUGH)
         self.ranks, count = residual.ranks, self.operator.size
         self._size = unknowns.density_slice.start if unknowns.density else unknowns.slices["z"].start
-        """Number of the flow's unknowns, normal derivatives included, which come first among all unknowns."""
+        """Number of the flow's unknowns with the normal derivatives; these come first among all unknowns."""
         self.exchange = residual.exchange.part(np.arange(self._size))
         self._of_velocity = self.exchange.part(np.arange(self.op.v.width))
         places = np.arange(count)
@@ -153,7 +152,7 @@ class Preconditioner:
             places = np.concatenate([places, normals[:, kept].ravel()])
             self.hyper_tangent = HyperTangent(derivative, kept)
         self._of_tangent = self.exchange.part(places)
-        """Exchanges the tangent's unknowns: the flow's, and the normal derivatives on facets between
+        """Exchanges the tangent's unknowns: the flow's unknowns, and the normal derivatives on facets between
         ranks."""
         self.free = np.concatenate(
             [mask_of(step.layout.blocks[name].FreeDofs()) for name in unknowns.velocity_block]
@@ -162,7 +161,7 @@ class Preconditioner:
         self._whole: Callable[[], Direct] | None = None
         """Makes a solver that factorises the whole tangent in place of two levels.
 
-        None if the solver has no two levels, or too many unknowns for a factorisation.
+        It is None if the solver has no two levels, or if the unknowns are too many for a factorisation.
         """
         self._two_levels: Direct | None = None
         self.solver = self._solver(np.append(self.free, np.ones(len(places) - count, dtype=bool)))
@@ -202,8 +201,8 @@ class Preconditioner:
         return TwoLevelSolver(free, vertices, beside_v, self._factorised, exchange)
 
     def _factorised(self, free: np.ndarray, matrix: sp.csr_matrix, symmetric: bool) -> Direct:
-        """The solver for the vertices: a multigrid if the options ask for one and the matrix allows it, else
-        a factorisation."""
+        """The solver for the vertices. It is a multigrid if the options ask for one and the matrix allows it;
+        else it is a factorisation."""
         solver: Direct
         if self._multigrid:
             solver = SumInverse(free, self._of_tangent, symmetric, self._coarse, self._kernel)
@@ -256,14 +255,14 @@ class Preconditioner:
             self.fields.renew()
 
     def __call__(self, at: Evaluation, tolerance: float, of_fields: float = TOLERANCE) -> np.ndarray:
-        """The packed increment; ``tolerance`` belongs to the flow's system, ``of_fields`` to the fields'
-        systems."""
+        """The packed increment of all unknowns. ``tolerance`` belongs to the flow's system, ``of_fields`` to
+        the fields' systems."""
         op, operator, dim, u = self.op, self.operator, self.dim, self.unknowns
         of_z = np.ascontiguousarray(at.residual[u.slices["z"]].reshape(u.components["z"], -1).T)
         flow, alone = at.residual[: self._size].copy(), None
         if self._relaxes:
             # with a steep flow rule, residuals of stresses are as large as the slope of the rule: each cell
-            # relaxes its residual before the transport carries it to other cells
+            # relaxes its own residual before the transport carries the rest to other cells
             alone = operator.points.tau * apply(operator.residual.inverse_mass, of_z.T)
             alone = operator.points.resolved(np.ascontiguousarray(alone.T))
             of_z = of_z - self.fields.rows(alone)
@@ -293,7 +292,7 @@ class Preconditioner:
         scale = np.ones_like(start)
         for where, length in zip(self._blocks, self._lengths, strict=True):
             scale[where] = self.exchange.norm(start, where) / np.sqrt(length) or 1.0
-        # at small tolerances, as for a linear problem, directions in single precision are not orthogonal
+        # a linear problem has a small tolerance; single precision then does not keep directions orthogonal
         kind = precision.SINGLE if tolerance > _LINEAR else np.float64
         y, self.iterations = gmres(
             lambda y: self._block(self._applied(scale * y)) / scale,
@@ -313,8 +312,8 @@ class Preconditioner:
     def _block(self, y: np.ndarray) -> np.ndarray:
         """Apply the inverse of the velocity tangent to rows ``y`` of the flow and of the normal derivatives.
 
-        Of the normal derivatives, only those on facets between ranks are unknowns of the tangent. All others
-        follow from the velocity and their own rows.
+        Only the normal derivatives on facets between ranks are unknowns of the tangent. All others follow
+        from the velocity and their own rows.
         """
         tangent, dim, (rows, a) = self.hyper_tangent, self.dim, np.split(y, [len(self.free)])
         if tangent is None:
