@@ -10,7 +10,7 @@ from ngvisco.reduced.operators import FacetMass, SideOperators
 
 
 class FacetCoupling:
-    """Builds the blocks from weights at the sides' points, and keeps the basis functions' values at these
+    """Builds the blocks from weights at the sides' points; holds the values of the basis functions at these
     points."""
 
     def __init__(self, sides: SideOperators, mass: FacetMass) -> None:
@@ -28,7 +28,7 @@ class FacetCoupling:
         first = np.flatnonzero(np.diff(self._facet[order]) == 0)
         side, opposite = order[first], order[first + 1]
         self.across = np.arange(count)
-        """Number of the opposite side, in the neighbouring cell, (sides,); on the boundary the side's own
+        """Number of the same facet's side in the neighbouring cell, (sides,); on the boundary the side's own
         number.  Sides of other ranks' cells have numbers from ``count`` on."""
         self.across[side], self.across[opposite] = opposite, side
         side_of = np.zeros(len(mass.unknowns), dtype=np.int64)
@@ -66,11 +66,11 @@ class FacetCoupling:
         from_trace: np.ndarray,
         values: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives by z of the rows int (direct z + from_trace z_hat) q, where mass z_hat = int to_trace z
-        t.
+        """Derivatives by z of the rows int (direct z + from_trace z_hat) q over the cells' sides.
 
-        The first array has the derivatives by z of the cell itself, (cells, q, q), the second array the
-        derivatives by z of the cell across each side, (cells, sides, q, q).
+        The trace z_hat is the solution of mass z_hat = int to_trace z t.  The first array has the derivatives
+        by z of the cell itself, (cells, q, q). The second array has the derivatives by z of the cell across
+        each side, (cells, sides, q, q).
 
         ``direct``, ``to_trace`` and ``from_trace`` are weights at the points of the sides, (points,).
         ``values``, (cells, points, functions), replace the basis functions of z.

@@ -1,11 +1,11 @@
 """Sorts a step's terms by the part of the split solver that evaluates them, as each term declares.
 
 A term with a ``kernel`` is evaluated by the matrices of this name.  A term with ``couples = "flow"`` is
-evaluated by its form, every other term by its integrands at points.  A form may read all fields, but has rows
-of the flow's unknowns only: v, the walls' unknowns, the creep rate field.  Newton's matrix contains the
-form's derivatives by the flow's unknowns, but none by rho, z and other unknowns.  The residual is exact; the
-more strongly a form depends on rho and z, the more iterations a step takes.  A term that contradicts its
-declaration raises an error with the term's name.
+evaluated by its form, every other term by its integrands at points.  A form may read all fields, but it has
+rows only for the flow's unknowns: v, the walls' unknowns, the creep rate field.  Newton's matrix contains the
+form's derivatives by the flow's unknowns, but not those by rho, z and other unknowns.  The residual is exact
+in spite of this. The more strongly a form depends on rho and z, the more iterations a step takes.  A term
+that contradicts its declaration raises an error with the term's name.
 """
 
 from __future__ import annotations
@@ -26,15 +26,14 @@ from ngvisco.reduced.point_fields import NotAtPointsError
 from ngvisco.reduced.unknowns import Unknowns, density_by_forms, in_cells
 
 _FIELDS = {"rho", "grad rho", "z", "grad z"}
-"""Tests of the fields; all other tests belong to the flow."""
+"""Tests of the fields; all other tests are those of the flow's unknowns."""
 
 
 class Couplings:
-    """The terms, sorted by the way in which they are evaluated, and the rows of the terms evaluated at
-    points.
+    """The step's terms, sorted by the way in which they are evaluated, with the rows of terms at points.
 
     Raises ParameterError for a term that contradicts its declaration, for a term that only the coupled solver
-    takes, and for a variable whose rate is not linear in the variables.
+    accepts, and for a variable whose rate is not linear in the variables.
     """
 
     def __init__(self, step: Step) -> None:
@@ -67,7 +66,7 @@ class Couplings:
 
     @property
     def continuity(self) -> list[PointTerm]:
-        """The continuity equation if it is linear in rho, evaluated by arrays and solved for the trace
+        """The continuity equation if it is linear in rho. Arrays evaluate it, and it is solved for the trace
         of rho."""
         return [] if self._is_bent else self.of_kernel["density"]
 
@@ -77,13 +76,13 @@ class Couplings:
         return self.of_kernel["density"] if self._is_bent else []
 
     def beside_the_points(self) -> list[Term]:
-        """Terms with rows of the flow that are linearised in v, wall stress and Pi through their forms."""
+        """Terms with rows of the flow whose forms give the linearisation in v, wall stress and Pi."""
         at_coarse_points = {id(term) for term in self.of_gradients()}  # by id: a user's class may define ==
         linearised = (term for term in self.at_points if term.linearised and id(term) not in at_coarse_points)
         return [*self.by_forms, *(term for term in linearised if self._of_flow(term))]
 
     def of_gradients(self) -> list[PointTerm]:
-        """Terms whose only tests of the flow are grad w, and perhaps w.
+        """Terms whose only tests of the flow are grad w, or w and grad w.
 
         A coarse quadrature rule suffices for the linearisation of these terms in v.
         """
@@ -91,12 +90,12 @@ class Couplings:
         return [term for term in self.at_points if term.linearised and self._of_flow(term) in alone]
 
     def _of_flow(self, term: PointTerm) -> set[str]:
-        """Names of the tests in a term's rows that belong to the flow, not to the fields."""
+        """Names of the tests in a term's rows, except the tests of the fields."""
         return set(self._rows[id(term)].names) - _FIELDS
 
     @property
     def across_facets(self) -> list[PointTerm]:
-        """Terms by which a cell acts on its neighbours' fields across facets, without transport."""
+        """Terms other than transport by which a cell acts on its neighbours' fields across facets."""
         return [term for term in self.at_points if term.couples == "facet"]
 
     def components_across_facets(self) -> list[int]:
@@ -108,11 +107,11 @@ class Couplings:
         return [term for term in self.at_points if term.is_mass]
 
     def of_state(self) -> list[PointTerm]:
-        """Terms that the tangent linearises in z: their rows of z or their stresses depend on z or zeta, or
-        their rows of v contain the density.
+        """Terms that the tangent linearises in z.
 
-        Terms that are not ``linearised``, such as transport and the elastic force, are left out unless they
-        weigh.
+        Such a term has rows of z or stresses that depend on z or zeta, or it has rows of v that contain the
+        density. Terms that are not ``linearised``, such as transport and the elastic force, are left out. A
+        term whose rows of v contain the density is never left out.
         """
         stresses, terms = {id(term) for term in self.of_gradients()}, []
         for term in self.at_points:

@@ -1,19 +1,19 @@
-"""delta Laplace z, where the slope of z is eliminated cell by cell, and the traces facet by facet.
+"""delta Laplace z; the slope of z is eliminated cell by cell, the traces facet by facet.
 
-The constant matrices of ``FieldDiffusion`` are the same for every component, and are assembled once.  Only
-phi''(z) depends on the state.  phi''(z) enters the cells' equations of the slope q,
+The matrices of ``FieldDiffusion`` are constant and the same for every component; they are assembled once.
+Only phi''(z) depends on the state.  phi''(z) enters the cells' equations of the slope q,
 
     (phi''(z) + P) q_j = L_j (zeta + P z),        rows of z:  delta (sum_j L_j^T q_j + C S (zeta + P z)),
 
-where the left-hand side is tested by the functions of a cell.  L_j is the lifted gradient, S the penalty, P
-the projection on the directions in which the energy is linear, C the compliance.  Parameters have no rows
-here; in the equations of their slopes zeta and phi'' are left out, and P is one.
+where the functions of a cell test the left-hand side.  L_j is the lifted gradient, S the penalty, P the
+projection on the directions in which the energy is linear, and C the compliance.  Parameters have no rows
+here. The equations of their slopes omit zeta and phi'', and P is one in them.
 
 Over ranks L_j and S also have columns of the cells across shared facets (``Halo``).  The rows of L_j^T in
 other ranks' cells are sent to those ranks.
 
-NGSolve's form takes 2 to 4 times as long for the rows, and 30 to 260 times for their derivative
-(``tests/benchmarks/kernels.py``); ``tests/solver/test_split_agrees.py`` compares solutions with those by the
+NGSolve's form takes 2 to 4 times as long for the rows, and 30 to 260 times as long for their derivative
+(``tests/benchmarks/kernels.py``). ``tests/solver/test_split_agrees.py`` compares solutions with those of the
 form.
 """
 
@@ -34,17 +34,17 @@ from ngvisco.reduced.operators import FacetMass, Operators
 from ngvisco.reduced.slope import PointwiseSlope
 
 _INCREMENT = 6e-6
-"""Relative increment of z in central differences of phi''(z) q: the cube root of the rounding unit."""
+"""Relative increment of z in central differences of phi''(z) q; it is the cube root of the rounding unit."""
 
 
 class FieldDiffusionRows:
-    """The rows of z that ``FieldDiffusion`` makes, and their derivative."""
+    """The rows of z by the term ``FieldDiffusion``, and their derivative."""
 
     def __init__(
         self, step: Step, operators: Operators, slope: PointwiseSlope, term: FieldDiffusion, traces: FacetMass
     ) -> None:
-        """``traces`` provides the facets' functions and the cells across facets; its inverses are not
-        used."""
+        """``traces`` provides the facets' functions and the cells across facets; its inverse matrices are not
+        needed."""
         self._op, self._slope, self._dim = operators, slope, step.mesh.dim
         self._delta, curvature = term.law.delta_fields, term.curvature
         self._of_itself = curvature.of_itself if curvature.of_itself.any() else None
@@ -115,8 +115,8 @@ class FieldDiffusionRows:
     def slopes(self, z_values: np.ndarray, c: Coefficients) -> dict[str, np.ndarray]:
         """The eliminated unknowns by name, (components, functions).
 
-        ``z_values`` is z at the cells' points, ``c`` has the coefficients of z and zeta.  A complex z and
-        zeta, with increments as imaginary parts, give complex unknowns.
+        ``z_values`` is z at the cells' points, ``c`` has the coefficients of z and zeta.  If z and zeta are
+        complex, with increments as imaginary parts, the eliminated unknowns are complex too.
         """
         chi = self._potential(c)
         at = np.ascontiguousarray(z_values.real)
@@ -149,7 +149,7 @@ class FieldDiffusionRows:
         return rows if self.strains.all() else rows * self.strains.reshape(-1, *(1,) * (rows.ndim - 1))
 
     def _matrices(self, z_values: np.ndarray) -> np.ndarray:
-        """Inverses of phi''(z) + P in the functions of every cell, (cells, n functions, n functions)."""
+        """Inverses of the cells' matrices phi''(z) + P, (cells, n functions, n functions)."""
         n, (cells, points, q) = len(z_values), self._op.z.blocks.shape
         hessian = self._of_strains(self._slope.hessian(z_values)).reshape(n * n, cells, points)
         if self._of_itself is not None:
@@ -168,7 +168,7 @@ class FieldDiffusionRows:
         return np.ascontiguousarray(increments.transpose(3, 1, 0, 2)).reshape(rows.shape)
 
     def _changed(self, z: np.ndarray, dz: np.ndarray, q: np.ndarray) -> np.ndarray:
-        """The derivative of the slopes' equations by z: phi'''(z) dz q, tested, (dim, n, functions)."""
+        """Derivative of the slopes' equations along dz: phi'''(z) dz q, tested, (dim, n, functions)."""
         size = float(np.abs(dz).max(initial=0.0))
         if size == 0:
             return np.zeros_like(q)

@@ -1,9 +1,9 @@
 """Evaluates a step's terms by arrays at all points of a quadrature rule, and integrates their rows.
 
-A term's ``cells`` and ``facets`` are evaluated with arrays in place of coefficient functions. The integrands
-are linear in the tests. The factor of each test is integrated against the basis functions of the test's space
-by the matrices of ``Operators`` and ``SideOperators``. Complex coefficients give complex values, and the
-imaginary part of a row is the row's derivative along the imaginary part of the coefficients.
+A term's methods ``cells`` and ``facets`` get arrays in place of coefficient functions. The integrands are
+linear in the tests. The factor of each test is integrated against the basis functions of the test's space, by
+the matrices of ``Operators`` and ``SideOperators``. Complex coefficients give complex values: the imaginary
+part of a row is the row's derivative along the imaginary part of the coefficients.
 """
 
 from __future__ import annotations
@@ -42,14 +42,13 @@ def shapes_of(step: Step) -> dict[str, tuple[int, ...]]:
 
 
 def on_sides(step: Step) -> list[str]:
-    """Names of the unknowns with tests on facets: v, the fields in cells, and facet means of both sides."""
+    """Names of the unknowns with tests on facets: v, the fields in cells, and means of both sides' fields."""
     means = (term.facet_mean for term in step.point_terms if term.facet_mean is not None)
     return ["v", *[name for name in ("rho", "rho_hat") if name in step.layout.unknowns], "z", *means]
 
 
 def names_of(step: Step, inside: bool) -> tuple[list[str], list[str]]:
-    """Names of the unknowns that have values at points, in cells or on sides, and of the unknowns that have
-    gradients."""
+    """Two lists of unknowns: those with values at points, in cells or on sides, and those with gradients."""
     cells, derived = in_cells(step.layout), derived_in_cells(step.layout)
     names = [*(cells if inside else (*on_sides(step), "zeta")), *derived]
     return names, cells if inside else [name for name in ("rho", "z", "zeta") if name in names]
@@ -80,7 +79,7 @@ def factors_of(parts: Sequence[Linear]) -> dict[str, np.ndarray]:
 
 
 class Sampled:
-    """The data of a step, sampled at all points of a rule when they are first read."""
+    """Values of a step's data at all points of a rule; each datum is sampled when it is first read."""
 
     def __init__(self, step: Step, operators: Operators) -> None:
         self._step, self._points, self.old = step, operators.points, dict[str, np.ndarray]()
@@ -88,7 +87,7 @@ class Sampled:
             "average": step.context.average_now,
             "given": lambda value: value,
         }
-        # keyed weakly by the function: a term may make a new function at each evaluation
+        # the keys are weak references to functions: a term may make a new function at each evaluation
         self._functions = {how: WeakKeyDictionary[CoefficientFunction, GridFunction]() for how in self._now}
 
     def start(self) -> None:
@@ -106,7 +105,7 @@ class Sampled:
 
     @property
     def knows_momentum(self) -> bool:
-        """Whether this rule is the forms' rule, at whose points m_old is known."""
+        """Whether this rule is the rule of the forms. Only at its points is m_old known."""
         return self._points.count * self._step.mesh.dim == self._step.momentum_old.space.ndof
 
     def momentum_old(self) -> np.ndarray:
@@ -114,13 +113,13 @@ class Sampled:
         return self._points.read(self._step.momentum_old, self._step.mesh.dim)
 
     def of_old(self, name: str) -> np.ndarray:
-        """Coefficients of an unknown of the old state, see ``Coefficients``."""
+        """Coefficients of an unknown in the old state, see ``Coefficients``."""
         return self.old[name]
 
     def values(self, how: str, value: CoefficientFunction) -> np.ndarray:
         """Values of a function at the points, (components, points).
 
-        ``how`` is ``"average"`` or ``"given"``, see the methods of ``CellContext``."""
+        ``how`` is ``"average"`` or ``"given"``, see these methods of ``CellContext``."""
         functions = self._functions[how]
         with ALONE:
             if value not in functions:
@@ -131,7 +130,7 @@ class Sampled:
 
 
 class _PointContext:
-    """The data of a step at the points of one rule: ``Context`` for arrays."""
+    """The data of a step at the points of one rule; the counterpart of ``Context`` for arrays."""
 
     def __init__(self, step: Step, operators: PointOperators, rates: TabulatedRates) -> None:
         self._step, self._op, self.rates, self.terms = step, operators, rates, step.terms
@@ -175,7 +174,7 @@ class CellContext(_PointContext):
         if sampled.knows_momentum:
             momentum = datum(sampled.momentum_old, sampled, "momentum")
             return self._here(momentum, [len(momentum)])
-        old = self.old  # a coarser rule is used for tangents only
+        old = self.old  # this rule is coarser than that of the forms, and is used for tangents only
         return old.rho * old.v
 
     def average(self, value: CoefficientFunction) -> Array:
@@ -192,7 +191,7 @@ class CellContext(_PointContext):
 
 
 def _put(function: GridFunction, value: CoefficientFunction) -> None:
-    """Interpolate ``value`` at the points; a scalar gets a second component, as point functions need two."""
+    """Interpolate ``value`` at the points; a scalar gets a second component, which NGSolve requires."""
     function.Interpolate(CF((value, 0.0)) if value.dim == 1 else value)
 
 
@@ -206,7 +205,7 @@ class SideContext(_PointContext):
     _op: SideOperators
 
     def __init__(self, step: Step, operators: SideOperators, samples: Samples) -> None:
-        """``samples`` holds values of functions at the points of all sides, taken once a step."""
+        """``samples`` holds values of functions at the points of all sides, sampled once a step."""
         super().__init__(step, operators, step.tabulated_rates)
         self.samples, self.reach = samples, step.context.reach
 
@@ -215,7 +214,7 @@ class SideContext(_PointContext):
         self.samples.clear()
 
     def _of_sides(self, name: str) -> Array:
-        """Values of an attribute of ``SideOperators``; all reads in a program get the same array."""
+        """Values of an attribute of ``SideOperators``; within a program every access gives the same array."""
         return Array(datum(partial(getattr, self._op, name), id(self._op), name), None)
 
     @property
@@ -247,7 +246,7 @@ class SideContext(_PointContext):
 
     @property
     def curvature(self) -> float:
-        """The number ``Context.curvature``."""
+        """The value of ``Context.curvature``."""
         return self._step.context.curvature.Get()
 
 
@@ -276,7 +275,7 @@ class _Terms:
 
     def factors(self, terms: Iterable[PointTerm], u: Fields) -> dict[str, np.ndarray]:
         """Factors of each test and of its gradient, summed over the terms, (..., points)."""
-        # u may have the cells' points several times, once for each direction of an increment
+        # u may repeat the cells' points, once for each direction of an increment
         tests = tests_of(self._step, True, u.context) if self._inside else self._tests
         return factors_of([part for term in terms for part in getattr(term, self.place)(u, tests)])
 
@@ -329,7 +328,7 @@ class CellTerms(_Terms):
         self._begin(step, True)
 
     def part(self, cells: slice) -> CellTerms:
-        """The terms over the range ``cells`` only; ``summed`` and ``rows`` would need all cells."""
+        """The terms over the range ``cells`` only; ``summed`` and ``rows`` are for all cells."""
         operators, context = self.op.part(cells), self.context
         return CellTerms(self._step, operators, context.rates, self.place, context.sampled)
 
@@ -357,12 +356,12 @@ class FacetTerms(_Terms):
         self._begin(step, False)
 
     def part(self, cells: slice) -> FacetTerms:
-        """The integrals over the sides of the range ``cells`` only, as loads; ``summed`` and ``rows`` need
-        all cells."""
+        """The terms over the sides of the range ``cells`` only. They give loads; ``summed`` and ``rows`` are
+        for all cells."""
         return FacetTerms(self._step, self.op.part(cells), self.context.samples)
 
     def loads_by(self, integrands: OnSides, u: Fields) -> Rows:
-        """Loads of v of integrands, by the integrands' names."""
+        """Loads of v by the given integrands, under the integrands' names."""
         return {
             name: self.op.v.loads(self._full(factors_of(parts)["v"]))
             for name, parts in integrands(u, self._tests).items()
@@ -370,14 +369,14 @@ class FacetTerms(_Terms):
         }
 
     def loads_of(self, term: PointTerm, name: str, u: Fields) -> np.ndarray:
-        """Loads of the equation of the facet unknown ``name``, evaluated with this unknown set to zero.
+        """Loads in the equation of the facet unknown ``name``, with this unknown set to zero.
 
-        ``u`` keeps the values that it computes for this equation, for use in other equations.
+        ``u`` keeps the values that are computed for this equation, so that other equations can use them.
         """
         shape, parts = self.layout.unknowns[name].shape, cast(Lazy, u.parts)
         parts[name] = Array(np.zeros((*shape, 1)), None)
         factors = self.factors([term], u)
-        del parts[name]  # the next access reads the coefficients, which exist by then
+        del parts[name]  # the next access reads the coefficients, which are known by then
         return called(self.op.of(name).loads, self._full(factors[name]))
 
 

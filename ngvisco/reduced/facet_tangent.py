@@ -1,15 +1,16 @@
-"""dR/dz of terms by which cells act on each other across facets, with the facet means eliminated.
+"""dR/dz of the terms by which cells act on each other across facets; the facet means are eliminated.
 
 A term on a cell's side reads the cell's z, its conjugates zeta, and facet means (``FacetMean``). A facet mean
 reads z and zeta of both cells, and means that are computed before it. Derivatives are taken by complex
 increments at the points, in all cells at once: along each basis function of the cells, and along each basis
-function of the facets. Let a mean change by the sum of A dz over both sides, and the rows of a side by H
-times the change of the mean. The derivative of the side's rows is then
+function of the facets. Let A dz be the change of a mean by one side, and H the change of a side's rows by the
+mean. The derivative of the side's rows is then
 
-    (own + H A) dz + H A(other side) dz(other cell),    summed over the means.
+    (own + H A) dz + H A(other side) dz(other cell),    summed over the means,
 
-The blocks contain all integrals over cells with a gradient of the increment or of the test; the point tangent
-contains the integrals without gradients.  zeta follows z by the projection of phi''(z), cell by cell.
+where own is the derivative at constant means. The blocks contain all integrals over cells with a gradient of
+the increment or of the test. The point tangent contains the integrals without gradients.  zeta follows z by
+the projection of phi''(z), cell by cell.
 """
 
 from __future__ import annotations
@@ -161,7 +162,7 @@ class _Mean:
         self.size = len(self._components) * self._functions
 
     def load(self, u: Fields) -> np.ndarray:
-        """The derivative of the mean's equation along the increment in ``u``, tested on each side, (sides,
+        """Derivative of the mean's equation along the increment in ``u``, tested on each side, (sides,
         size)."""
         values = self._terms.factors([self.term], u)[self.name].imag / TINY
         values = np.atleast_2d(values)[self._components]
@@ -169,7 +170,7 @@ class _Mean:
         return self._coupling.tested(full, self._mass.functions)
 
     def solved(self, loads: np.ndarray) -> np.ndarray:
-        """Change of the mean's coefficients by the ``loads`` of each side alone, (sides, size, .)."""
+        """Change of the mean's coefficients by the ``loads`` of one side alone, (sides, size, .)."""
         parts = loads.reshape(len(loads), len(self._components), self._functions, loads.shape[-1])
         return (-self._mass.inverses[self._facet][:, None] @ parts).reshape(loads.shape)
 

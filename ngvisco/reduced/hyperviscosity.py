@@ -1,14 +1,14 @@
 """The hyperviscosity as a function of (v, a), by matrices; its local unknowns are eliminated.
 
-Lifting and jump are linear in (v, a) and the same for every component of v.  The matrices of lifting and jump
-are assembled once, from the term's form for one component.  All nonlinearity is in scalars on cells
+Lifting and jump are linear in (v, a) and the same for every component of v.  Their matrices are assembled
+once, from the term's form for one component.  All nonlinearity is in scalars on cells
 (``ngvisco.forms.terms.hyperviscosity``):
 
     Hs = lifting(v, a),  s = P |Hs|^2,  c_s = P c(s) + facets,  S = P (c_s Hs),
 
-where P are the cellwise L2 projections.  Coefficients and penalty are evaluated by the term, at the points of
-the forms' rules.  NGSolve's form takes 7 to 24 times as long (``tests/benchmarks/kernels.py``);
-``tests/solver/test_split_agrees.py`` compares solutions with those by the form.
+where each P is an L2 projection in a cell.  The term evaluates coefficients and penalty, at the points of the
+forms' rules.  NGSolve's form takes 7 to 24 times as long (``tests/benchmarks/kernels.py``).
+``tests/solver/test_split_agrees.py`` compares solutions with those of the form.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ from ngvisco.reduced.point_fields import FACETS, Lazy
 
 
 class SideJumps:
-    """Jumps j = a - d_n v and the penalty's other arguments, at the sides' points of one rule."""
+    """The penalty's arguments at the sides' points of one rule: the jumps j = a - d_n v, h, |Hs|^2 and z."""
 
     def __init__(
         self, hyper: MatrixHyperviscosity, op: PointOperators, other: SideJumps | None = None
     ) -> None:
         """``other`` are the jumps at the points of another rule.
 
-        If the values at this rule's points follow from the values at the nodes of ``other``, both share these
+        ``other`` also provides the nodes, if the values at this rule's points follow from the values at those
         nodes.
         """
         matrix = op.points.operator(hyper.component, lambda u: hyper.fields_of(u).jump[0])
@@ -66,8 +66,9 @@ class SideJumps:
     def values(
         self, j: np.ndarray, s: np.ndarray | None, z: np.ndarray, op: PointOperators | None = None
     ) -> Fields:
-        """Fields on the sides: the jumps ``j``, and |Hs|^2 and z from their coefficients ``s`` and ``z``, at
-        the points of ``op``, by default of all sides."""
+        """Fields on the sides, at the points of ``op`` (by default of all sides).
+
+        The fields are the jumps ``j``, and |Hs|^2 and z from their coefficients ``s`` and ``z``."""
         c, op = {"z": z} if s is None else {"z": z, "hess_square": s}, op or self.op
         context: Any = SimpleNamespace(h=Array(op.h, None), curvature=self._context.curvature.Get())
         u = Fields(op.layout, Lazy(lambda name: Array(op.of(name)(c[name]), None), c, FACETS), context)
@@ -100,7 +101,7 @@ class MatrixHyperviscosity:
         k = layout.discretisation.k
         ones = layout.states.tensors(lambda: Array(np.ones((layout.states.size, 1)), None))
         is_uniform = all(isinstance(modulus, (int, float)) for modulus in self.law.moduli(ones))
-        # if Hs is constant in each cell, one point suffices for functions of Hs
+        # functions of Hs need only one point if Hs is constant in each cell
         self.op = Operators(step, 0) if k == 2 and step.mesh.GetCurveOrder() <= 1 and is_uniform else op
         velocity = layout.scalar_space("v")
         self.velocities = velocity.ndof
@@ -117,7 +118,7 @@ class MatrixHyperviscosity:
         return self.step.layout.states.tensors(lambda: Array(self.op.z(z), None))
 
     def fields_of(self, parts: Sequence[CoefficientFunction]) -> Fields:
-        """One component of v and a as fields, from the joint space's functions."""
+        """One component of v and a as fields, from functions of the space of (v_i, a_i)."""
         names = ("v", self.step.layout.names_of("normals")[0])
         return Fields(self.step.layout, dict(zip(names, parts, strict=True)), rows=1)
 

@@ -22,7 +22,7 @@ from ngvisco.reduced.unknowns import derived_in_cells
 class TermRows:
     """The rows of a term."""
 
-    names: dict[str, bool]  # whether a test's rows depend on z or zeta, by the test's name
+    names: dict[str, bool]  # for each test, by name: whether its rows depend on z or zeta
     components: frozenset[int]  # numbers of the components of z that have rows
     collocated: bool  # whether a row is integrated by a collocated rule: one point per coefficient of a field
 
@@ -51,8 +51,9 @@ class OnePoint:
         return TermRows(names, frozenset(components), collocated)
 
     def read(self, terms: Iterable[PointTerm], names: Iterable[str]) -> list[tuple[str, int]]:
-        """Unknowns among ``names`` and their components on which the terms' rows depend, also through
-        gradients."""
+        """Unknowns among ``names``, and their components, on which the terms' rows depend.
+
+        A dependence through gradients counts too."""
         terms, shapes = list(terms), {name: self._shapes[name] or (1,) for name in names}
         parts = [(name, i) for name, shape in shapes.items() for i in range(shape[0])]
         return [(name, i) for name, i in parts if any(self._changes(term, name, i) for term in terms)]
@@ -66,13 +67,13 @@ class OnePoint:
             return values
 
         rows, _ = self._evaluated(term, increased)
-        return any((g.imag != 0).any() for _, g in rows)  # NaN counts as a change
+        return any((g.imag != 0).any() for _, g in rows)  # NaN counts as a dependence
 
     def _evaluated(
         self, term: PointTerm, along: Callable[[str, np.ndarray], np.ndarray]
     ) -> tuple[list[tuple[str, np.ndarray]], bool]:
-        """Factors of the tests by name, in the cell and on the side, and whether the term has a collocated
-        rule.
+        """Factors of the tests by name, in the cell and on the side; and whether the term has integrands for
+        a collocated rule.
 
         ``along`` maps an unknown's name and its values, or its gradient, to the values to be used.
         """
@@ -130,9 +131,9 @@ class OnePoint:
 
 
 def _require_dissipation(term: PointTerm, u: Fields) -> None:
-    """Raise NotAtPointsError if a term's dissipation on facets is no mapping of names to arrays at points.
+    """Raise NotAtPointsError unless a term's dissipation on facets maps names to arrays at points.
 
-    A dissipation that reads values which only forms have is admitted: the ledger integrates it by its form.
+    A dissipation may read values that only forms have: the ledger then integrates it by its form.
     """
     try:
         of_names = dict(term.dissipated_on_facets(u))

@@ -1,7 +1,7 @@
 """Matrices from coefficients to values at the points of cells and sides, and mass matrices of facets.
 
-If two ranks share a facet, each of them has one side, and both sides' contributions are summed
-(``Exchange``).
+If two ranks share a facet, each of them has one of its sides. ``Exchange`` sums the contributions of both
+sides.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ class PointOperators:
     ) -> None:
         """``pieces`` is the number of equal parts of a cell's points, see ``LocalMatrix``.
 
-        ``other`` are operators at the points of another rule, with the same ``pieces``.  If all values at the
-        points of this rule follow from values at the nodes of ``other``, both share these nodes.
+        ``other`` are operators at the points of another rule, with the same ``pieces``. They also provide the
+        nodes, if all values at the points of this rule follow from values at those nodes.
         """
         self.layout, self.pieces, self._h, self._other = step.layout, pieces, step.context.h, other
         self.points: Any = points
@@ -108,8 +108,8 @@ class Operators(PointOperators):
 class SideOperators(PointOperators):
     """Operators at the points of the cells' sides.
 
-    ``inner``, (points,), is 1 between two cells and 0 on walls; ``crossed`` is 1 also on walls through which
-    matter may flow.  Both and the normals are computed at each access.
+    ``inner``, (points,), is 1 between two cells and 0 on walls. ``crossed``, (points,), is 1 between two
+    cells and on walls that matter may cross.  Both arrays and the normals are computed at each access.
     """
 
     def __init__(self, step: Step) -> None:
@@ -128,12 +128,12 @@ class SideOperators(PointOperators):
 
     @property
     def inner(self) -> np.ndarray:
-        """See the class, for this part's points."""
+        """``inner`` of the class, at this part's points."""
         return self._inner[self.places].astype(float)
 
     @property
     def crossed(self) -> np.ndarray:
-        """See the class, for this part's points."""
+        """``crossed`` of the class, at this part's points."""
         return self._crossed[self.places].astype(float)
 
 
@@ -148,11 +148,11 @@ class FacetMass:
         matrix, self.exchange = values.at_nodes, exchange
         (self.unknowns,) = Blocks(abs(matrix).T @ abs(matrix)).groups or [np.zeros((0, 1), dtype=np.int64)]
         self.of_facets = exchange.part(self.unknowns[:, 0])
-        """Exchanges one value for each facet."""
+        """Exchanges values of facets, one for each facet."""
         facet_of, place = np.zeros((2, matrix.shape[1]), dtype=np.int64)
         count, size = self.unknowns.shape
         facet_of[self.unknowns], place[self.unknowns] = np.arange(count)[:, None], np.arange(size)
-        sides = max(values.pieces, 1)  # 1 for a rank without cells
+        sides = max(values.pieces, 1)  # a rank without cells has no pieces
         nodes = values.nodal.shape[2] // sides or 1
         self.facet = facet_of[matrix.indices[matrix.indptr[:-1:nodes]]]
         """The facet of each side."""

@@ -18,10 +18,10 @@ from ngvisco.forms.fields import Fields
 from ngvisco.physics.arrays import TINY, Array
 
 TOGETHER = 8192
-"""Number of points in one chunk, counted over all directions; a chunk's values stay in the processor's
+"""Number of points in one chunk, counted for each direction. The values of a chunk stay in the processor's
 cache."""
 CELLS, FACETS = "in cells", "on facets"
-"""Places of values, for messages."""
+"""Names of the places of points, for messages."""
 
 
 class NotAtPointsError(NgviscoError, LookupError):
@@ -93,8 +93,8 @@ def incremented(u: Fields, **along: np.ndarray) -> Iterator[tuple[int, Fields]]:
     """Divide directions into groups; for each group yield its size, and ``u`` with imaginary increments.
 
     ``along`` has directions by the name of the unknown, or of ``grad_v``, (k, ..., points or 1).  The points
-    are repeated for each direction, one direction after the other: an operation on more points takes hardly
-    longer.
+    are repeated for each direction, one direction after the other, because an operation on more points takes
+    hardly longer.
     """
     values = {name: (u.grad_v if name == "grad_v" else u.parts[name]).value for name in along}
     first = next(iter(along))

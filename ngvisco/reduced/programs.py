@@ -2,8 +2,8 @@
 
 Fields are functions of the unknowns' coefficients.  Between the iterates of a step only the coefficients
 change.  The data of a step, which the contexts of ``evaluation`` provide, change from step to step
-(``datum``).  All other data of a term stay constant through a run (``ngvisco.forms.term``).  In the second
-step the first results of each program are compared with the results of its function.  If a bit differs, the
+(``datum``).  All other data of a term stay constant through a run (``ngvisco.forms.term``).  The second step
+compares the first results of each program with those of the program's function.  If a bit differs, the
 function is recorded anew in each step.
 """
 
@@ -30,10 +30,10 @@ class Programs:
         self.varying: set[Hashable] = set()
         """Names of functions that are recorded in each step."""
         self._compared: set[Hashable] = set()
-        """Names of functions whose program has given the same bits as the function in a second step."""
+        """Names of functions whose program has given the function's own bits in a second step."""
         self._numbers: tuple[float, ...] = ()
         self._runs, self._begun = False, set[Hashable]()
-        """Whether programs evaluate functions now; and names of the programs of earlier steps."""
+        """Two values: whether programs evaluate functions now, and the names of earlier steps' programs."""
 
     def start(self, runs: bool, *numbers: float) -> None:
         """Begin a step.  If ``runs`` is True, programs evaluate the functions until the next call.
@@ -72,7 +72,7 @@ class Programs:
             self.varying.add(name)
         try:
             self._programs[name], results = Program.of(function, c, self._keeps)
-        except Exception:  # a function of arrays may raise any error for arrays of another class
+        except Exception:  # any function may raise any error for arrays of a class that it does not know
             self._others.add(name)
             return function(c)
         self._begun.discard(name)

@@ -1,10 +1,10 @@
 """The residual as a function of the iterated unknowns (v, wall stress, Pi, a, rho, z) alone.
 
-For a given v the kinematic equations are linear except for creep.  The traces, the conjugates zeta, the local
-creep rate, the hyperviscosity's local unknowns and the slopes of the delta-regularised z are derived
-unknowns: functions of the iterated unknowns, evaluated and never iterated.  All rows follow from the terms
-themselves (``ngvisco.reduced.evaluation``).  An infinitesimal imaginary part of the iterated unknowns gives
-the product of Newton's whole matrix and a direction.
+For a given v the kinematic equations are linear except for creep.  Derived unknowns are functions of the
+iterated unknowns, and are evaluated, never iterated: the traces, the conjugates zeta, the local creep rate,
+the hyperviscosity's local unknowns, and the slopes of the delta-regularised z.  All rows follow from the
+terms themselves (``ngvisco.reduced.evaluation``).  An infinitesimal imaginary part of the iterated unknowns
+gives the product of Newton's whole matrix and a direction.
 
 Each rank evaluates its own cells.  Ranks sum loads of traces before they solve for the traces.  At the end
 ranks sum the rows of the flow, of the normal derivatives and of iterated traces.  All other rows belong to
@@ -46,7 +46,7 @@ from ngvisco.reduced.unknowns import Unknowns
 from ngvisco.threads import Workers
 
 TOGETHER = 24_000
-"""Number of points in cells that one part evaluates together."""
+"""Largest number of points in cells that are evaluated together, as one part of the mesh."""
 
 RECORDED = 8_000
 """Largest number of points in cells for which programs keep the data of a step."""
@@ -63,7 +63,7 @@ class Evaluation:
     coefficients: dict[str, np.ndarray]  # of all unknowns, (components, functions)
     hyper: HyperValues | None
     residual: np.ndarray  # the rows, packed like the unknowns
-    terms: tuple[CellTerms, FacetTerms]  # the terms' ``fields`` evaluate unknowns at points
+    terms: tuple[CellTerms, FacetTerms]  # evaluate unknowns at points by their method ``fields``
 
     @property
     def cells(self) -> Fields:
@@ -77,7 +77,7 @@ class Evaluation:
 
 
 PartFields: TypeAlias = tuple[Fields, Fields, Fields]
-"""Values at the points of some cells, at the points of their sides, and at the points of the rule for
+"""Values at three sets of points: of some cells, of their sides, and of the rule for
 ``ReducedResidual.carried``.  Each value is computed at its first access."""
 
 
@@ -90,8 +90,8 @@ class CellPart:
         self.carried = residual.carried_terms.part(cells)
 
     def fields(self, c: Coefficients) -> PartFields:
-        """Fields with the coefficients ``c`` at the points of the cells, of their sides and of the rule for
-        polynomials."""
+        """Fields with the coefficients ``c``: at the points of the cells, at the points of their sides, and
+        at the points of the rule for polynomials."""
         return self.inside.fields(c), self.sides.fields(c), self.carried.fields(c)
 
     def mean(self, at: PartFields, term: CellMean) -> np.ndarray:
@@ -107,12 +107,14 @@ class CellPart:
         return total / op.weights.reshape(op.z.cells, op.z.per_cell).sum(axis=1)
 
     def loads_on_sides(self, at: PartFields, term: PointTerm, name: str) -> np.ndarray:
-        """Loads of a facet mean, see ``FacetTerms.loads_of``."""
+        """Loads in the equation of a facet mean, see ``FacetTerms.loads_of``."""
         return self.sides.loads_of(term, name, at[1])
 
     def loads(self, c: Coefficients) -> dict[tuple[str, str], np.ndarray]:
-        """Loads of all terms that are evaluated at points, in the cells and on their sides, by the place and
-        the unknown; ``c["jump"]`` has the hyperviscosity's jumps at the points of all sides."""
+        """Loads of all terms that are evaluated at points; the keys are the place, cells or sides, and the
+        unknown.
+
+        ``c["jump"]`` has the hyperviscosity's jumps at the points of all sides."""
         residual, (inside, on_sides, carried) = self.residual, self.fields(c)
         if "jump" in c:
             on_sides.__dict__["jump"] = Array(c["jump"][:, self.sides.op.places], None)
@@ -124,10 +126,10 @@ class CellPart:
 
 
 def parts_of(cells: int, points: int, most: float = math.inf) -> list[slice]:
-    """Divide the cells into ranges of nearly equal size, of up to ``most`` and ``TOGETHER`` points: one
-    range, or an even number of ranges.
+    """Divide the cells into ranges of nearly equal size: one range, or an even number of ranges.
 
-    ``points`` is the number of points in a cell.  The ranges do not depend on the number of threads.
+    A range has up to ``most`` and up to ``TOGETHER`` points. ``points`` is the number of points in a cell.
+    The ranges do not depend on the number of threads.
     """
     count = math.ceil(cells * points / min(TOGETHER, most))
     count = max(count + count % 2, 1) if count > 1 else 1
@@ -163,7 +165,7 @@ class ReducedResidual:
         self.density = RestrictedForm(step, u.density, couplings.density) if couplings.density else None
         self._density_of_all: RestrictedForm | None = None
         self._of_forms: list[tuple[slice, sp.csr_matrix, np.ndarray]] = []
-        """Rows, matrix and columns of each form's derivative, from the last call of ``derivative``."""
+        """For each form: rows, matrix and columns of the derivative, from the last call of ``derivative``."""
         self.hyper: MatrixHyperviscosity | None = None
         if couplings.of_kernel["hyperviscosity"]:
             term = couplings.of_kernel["hyperviscosity"][0]
@@ -171,7 +173,7 @@ class ReducedResidual:
         self.right_hand_side = None if step.sources is None else RightHandSide(step)
         self.ranks, self.exchange = exchange.communicator, exchange.part(u.places(u.names))
         """Ranks and exchange of the packed unknowns."""
-        # the matrix of one component serves all components of z, and rho, whose trace has the same layout
+        # one matrix serves all components of z, and rho, because the trace of rho has the same layout
         self.trace_mass = self._mass_of_traces(exchange, "z_hat")
         self.diffusion: FieldDiffusionRows | None = None
         if couplings.of_kernel["diffusion"]:
@@ -181,7 +183,8 @@ class ReducedResidual:
         self._divide(step)
         means = couplings.of_kernel["facet means"]
         self.means_of_sides: list[tuple[PointTerm, str]] = [(term, term.name) for term in means]
-        """Equations of facet means and the names of their unknowns, in the order of solution."""
+        """The facet means that need equations at points: each equation and the name of its unknown, in the
+        order of solution."""
         self.means_of_sides += [(term, "rho_hat") for term in couplings.continuity]
         orders = {step.layout.unknowns[name].order: name for _, name in self.means_of_sides}
         self._masses = {order: self._mass_of_traces(exchange, name) for order, name in orders.items()}
@@ -189,23 +192,23 @@ class ReducedResidual:
         self._fixed_means = {
             name: of for term, name in self.means_of_sides if (of := self._mean_of(term, name))
         }
-        """Name of the unknown in cells, and matrix of the mean's loads, for each facet mean of one unknown,
-        by the mean's name."""
+        """For each facet mean of one unknown, by the mean's name: the name of this unknown in cells, and the
+        matrix of the mean's loads."""
         self.parts = self.divided()
         self.programs = Programs(keeps=self.op.points.count <= RECORDED)
         """Programs of the whole mesh, if it is one part, or of each part."""
 
     def divided(self, most: float = math.inf) -> list[CellPart]:
-        """Parts of the mesh with up to ``most`` and ``TOGETHER`` points; the whole mesh if slopes are not
-        local."""
+        """Parts of the mesh with up to ``most`` and ``TOGETHER`` points; one part if the slope of the energy
+        at a point depends on other points."""
         cells, ranges = self.step.mesh.ne, [slice(0, self.step.mesh.ne)]
         if self.slope.is_local:
             ranges = parts_of(cells, self.op.points.per_cell, most)
         return [CellPart(self, cell_range) for cell_range in ranges]
 
     def _divide(self, step: Step) -> None:
-        """Divide the terms at points into ``carried``, polynomials for which a rule of fewer points is exact,
-        and ``others``."""
+        """Divide the terms at points into ``carried`` and ``others``. Terms of ``carried`` are polynomials,
+        for which a rule of fewer points is exact."""
         k, m, whole = step.discretisation.k, step.discretisation.m, step.quadrature.volume_degree // 2
         self.carried, self.others, orders = list[PointTerm](), list[PointTerm](), [1]
         for term in self.at_points:
@@ -225,8 +228,8 @@ class ReducedResidual:
         return mass
 
     def _mean_of(self, term: PointTerm, name: str) -> tuple[str, sp.csr_matrix] | None:
-        """Name of the unknown whose mean on facets the term determines, and the matrix of this mean's
-        loads."""
+        """For an equation that determines an unknown's mean on facets: the unknown's name, and the matrix of
+        the mean's loads. None for other equations."""
         if (of := term.mean_of) is None:
             return None
         op = self.side_op
@@ -236,9 +239,9 @@ class ReducedResidual:
     def start(self, records: bool = False) -> None:
         """Evaluate the data that are constant during the step.
 
-        With ``records`` the caller says that all data stay as they are until the next call: on one process
-        programs then evaluate the terms (``Programs``)."""
-        # over ranks a function exchanges values, and no rank may evaluate it more often than another one
+        If ``records`` is True, all data have to stay as they are until the next call: on one process programs
+        then evaluate the terms (``Programs``)."""
+        # over ranks a function exchanges values, so that all ranks have to evaluate it equally often
         is_large, context = self.op.points.count > PROGRAMMED, self.step.context
         runs = records and not self.ranks.is_distributed and self.slope.is_local and not is_large
         self.programs.start(runs, context.tau.Get(), context.curvature.Get())
@@ -253,9 +256,9 @@ class ReducedResidual:
     def __call__(self, x: np.ndarray, anew: bool = False) -> Evaluation:
         """Evaluate R at ``x``.  A real ``x`` and the unknowns derived from it become the step's state.
 
-        With ``anew`` the flow rules are linearised at x (``LinearisationStress``); otherwise the slopes of
-        the last linearisation stay.  NGSolve's forms read the state; for a complex x the linearisation of the
-        forms about the state is used.
+        If ``anew`` is True, the flow rules are linearised at x (``LinearisationStress``); otherwise they keep
+        the slopes of the last linearisation.  NGSolve's forms read the state; for a complex x, the forms'
+        linearisation about the state takes their place.
         """
         c, hyper = self._derived(x)
         loads = self._joined("loads", CellPart.loads, c if hyper is None else c | {"jump": hyper.jumps})
@@ -287,8 +290,8 @@ class ReducedResidual:
         }
 
     def share(self, work: Callable[[Any], Any], parts: Sequence[Any]) -> list[Any]:
-        """Results of ``work`` on every part, in order; threads share the parts if the energy is an array
-        law."""
+        """Results of ``work`` on every part, in the order of the parts; threads share the parts if the energy
+        is an array law."""
         return self.workers.map(work, parts) if self.slope.is_local else [work(part) for part in parts]
 
     def at_once(self, *works: Callable[[], Any]) -> list[Any]:
@@ -306,7 +309,7 @@ class ReducedResidual:
             self._at_collocation_points(self.collocated_terms, c, True)
 
     def _at_collocation_points(self, terms: CellTerms, c: dict[str, np.ndarray], is_real: bool) -> Fields:
-        """Fields at the collocation points. If ``is_real`` is True, their values are put into the
+        """Fields at the collocation points. If ``is_real`` is True, their values also become the
         linearisation stresses."""
         n = terms.fields(c)
         if is_real:
@@ -325,7 +328,7 @@ class ReducedResidual:
         return {key: np.concatenate([of[key] for of in parts], axis=-1) for key in parts[0]}
 
     def _derived(self, x: np.ndarray) -> tuple[dict[str, np.ndarray], HyperValues | None]:
-        """Coefficients of all unknowns at x, and the hyperviscosity's values; a real x is put into the
+        """Coefficients of all unknowns at x, and the hyperviscosity's values; a real x also becomes the
         state."""
         c, hyper = self.unknowns.coefficients(x), None
         if self.diffusion is None and len(self.parts) == 1:
@@ -342,7 +345,7 @@ class ReducedResidual:
     def _derived_unknowns(self, of: Coefficients) -> dict[str, np.ndarray]:
         """Conjugates, traces and means from the coefficients of the iterated unknowns."""
         c = dict(of)
-        # fields of one part serve all equations; those of several parts would not fit the cache
+        # the fields of one part serve all equations; the fields of several parts would not fit the cache
         fields = self.parts[0].fields(c) if len(self.parts) == 1 else None
 
         def joined(name: str, loads: Callable[[CellPart, PartFields], np.ndarray]) -> np.ndarray:
@@ -372,8 +375,8 @@ class ReducedResidual:
         return {name: values for name, values in c.items() if name not in of}
 
     def derivative(self, at: Evaluation) -> Callable[[np.ndarray], np.ndarray]:
-        """The map from packed directions d to the rows dR d at an evaluation, whose x has to be the step's
-        state.
+        """The map from packed directions d to the rows dR d, at an evaluation. The step's state has to be the
+        ``x`` of this evaluation.
 
         The derivative is taken by complex increments of all arrays.  NGSolve linearises the terms that exist
         only as forms.
@@ -396,8 +399,8 @@ class ReducedResidual:
         return self._masses[self.step.layout.unknowns[name].order]
 
     def _packed(self, x: np.ndarray, rows: list[dict[str, np.ndarray]]) -> np.ndarray:
-        """Pack the sum over all ranks of ``rows``, by unknown, of the forms' rows and of the source's
-        rows."""
+        """Pack the sum over all ranks of three kinds of rows: ``rows``, by unknown, the forms' rows, and the
+        source's rows."""
         u, is_real, result = self.unknowns, not np.iscomplexobj(x), np.zeros_like(x)
         for part in rows:
             for name, values in part.items():

@@ -1,4 +1,4 @@
-"""Rows of some terms in some unknowns by NGSolve's forms, for terms that arrays do not evaluate."""
+"""Rows of terms that arrays do not evaluate, in some unknowns, by NGSolve's forms."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from ngvisco.forms.term import Term
 
 
 class RestrictedForm:
-    """Rows of some unknowns in the given terms, and the rows' derivatives by these unknowns, from the terms'
-    forms."""
+    """Evaluates rows of some unknowns by the forms of the given terms, and the rows' derivatives by these
+    unknowns."""
 
     def __init__(self, step: Step, names: Sequence[str], terms: Sequence[Term]) -> None:
         layout, self.names, self.step = step.layout, list(names), step

@@ -1,5 +1,5 @@
-"""phi'(z) at the points of a rule, and its derivative: by arrays, symbolically, or by a material's
-response."""
+"""phi'(z) at the points of a rule, and its derivative. Both come from arrays, from symbolic forms, or from a
+material's response."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class PointwiseSlope:
         """Components that are in no group of ``Material.summed``."""
         self._own = {int(m): group for group in groups for m in group}
         self.owner = np.full(states.size, -1)
-        """Number of the group of each component, -1 for components that are in none."""
+        """Number of the group of each component; -1 for components that are in no group."""
         for number, group in enumerate(groups):
             self.owner[group] = number
         curved = every if self.lagged.any() else curved_components(material, step.mesh.dim)
@@ -52,8 +52,8 @@ class PointwiseSlope:
         self.response = step.tabulated_rates.response
         self._has_own_response = material.response(step.mesh.dim) is not None
         self.arrays = self.curving = None
-        """Functions of arrays for the slope, and for the slope of the energy's part with curvature by the
-        components ``_read``; None unless the energy is an array law."""
+        """Two functions of arrays: the slope, and the slope of the part of the energy that is curved in the
+        components ``_read``. Both are None unless the energy is an array law."""
         self._read = every
         if isinstance(self.response, ArrayResponse):
             self.arrays, self.curving = self.response.slope, self.response.slope_of_part
@@ -61,7 +61,7 @@ class PointwiseSlope:
 
     @property
     def is_local(self) -> bool:
-        """Whether phi' at a point depends on z at this point alone, so that threads may share the points."""
+        """Whether phi' at a point depends on z at this point alone. Threads may then share the points."""
         return self.arrays is not None and not self.lagged.any()
 
     def __call__(self, z_values: np.ndarray) -> np.ndarray:
@@ -110,8 +110,8 @@ class PointwiseSlope:
         return result
 
     def _along(self, z_values: np.ndarray, directions: np.ndarray) -> Iterator[np.ndarray]:
-        """Yield the components ``_read`` of phi''(z) d for each column d of ``directions``, (n, k); the other
-        components vanish.
+        """Yield phi''(z) d for each column d of ``directions``, (n, k). Only the components ``_read`` are
+        yielded; the other components vanish.
 
         The points are repeated for several directions at once, because a law of many operations takes
         hardly longer for several directions than for one.
@@ -127,7 +127,8 @@ class PointwiseSlope:
             yield from derivative_of(slopes, len(group)).swapaxes(0, 1)
 
     def _answer(self, z_values: np.ndarray) -> Response:
-        """The material's own response with lagged variables, kept for the same states."""
+        """The material's own response with lagged variables; it is kept until z or the lagged values
+        change."""
         z, seen = z_values.T, self._seen(z_values).T
         if self._kept is None or not (
             np.array_equal(self._kept[0], z) and np.array_equal(self._kept[1], seen)
@@ -141,14 +142,15 @@ class PointwiseSlope:
         assert lagged is not None
         values = lagged.vec.FV().NumPy()
         if self._frozen is None or not np.array_equal(self._frozen[0], values):
-            if self._lagged_values is None:  # once: all ranks have to make a function together
+            if self._lagged_values is None:  # made once, because all ranks have to make it together
                 self._lagged_values = self.points.function(self.components)
             self._lagged_values.Interpolate(lagged)
             self._frozen = values.copy(), self.points.read(self._lagged_values, self.components).copy()
         return np.where(self.lagged, self._frozen[1], z_values)
 
     def _whole(self, z_values: np.ndarray) -> np.ndarray:
-        """phi'(z) of all variables at ``z_values``, the values of lagged variables included."""
+        """phi'(z) of all variables at ``z_values``, where lagged variables have their values in
+        ``z_values``."""
         if np.iscomplexobj(z_values):
             z, dz = np.ascontiguousarray(z_values.real), np.ascontiguousarray(z_values.imag)
             return self._whole(z) + 1j * self._whole_derivative(z)(dz)

@@ -11,7 +11,7 @@ from ngvisco.reduced.unknowns import Unknowns
 
 
 class RightHandSide:
-    """The rows of a step's source, which are packed like the unknowns and added to the residual.
+    """Rows of a step's source. They are packed like the unknowns, and added to the residual.
 
     Raises WithheldError for a source that depends on unknowns, or tests an unknown that is not iterated.
     """

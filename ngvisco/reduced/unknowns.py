@@ -12,14 +12,14 @@ from ngvisco.parallel.exchange import Exchange
 
 
 def in_cells(layout: Layout) -> list[str]:
-    """Names of the iterated unknowns that have values in cells, and zeta."""
+    """Names of the iterated unknowns that have values in cells, and the name zeta."""
     continuous = [name for name in layout.names_of("continuous") if layout.unknowns[name].space is None]
     return ["v", *(["rho"] if "rho" in layout.unknowns else []), "z", "zeta", *continuous]
 
 
 def derived_in_cells(layout: Layout) -> list[str]:
-    """Names of derived unknowns that have values in cells and no gradients: those of the hyperviscosity, and
-    means over cells."""
+    """Names of the derived unknowns that have values in cells and no gradients: the hyperviscosity's local
+    unknowns, and means over cells."""
     constants = [name for name in layout.names_of("cells") if layout.unknowns[name].is_mean]
     return [*(name for name in ("hess", "hess_square") if name in layout.unknowns), *constants]
 
@@ -79,7 +79,7 @@ class Unknowns:
         return np.concatenate([np.arange(self.ranges[n].start, self.ranges[n].stop) for n in names])
 
     def coefficients(self, x: np.ndarray) -> dict[str, np.ndarray]:
-        """The iterated unknowns by name, (components, functions); the normal derivatives together are "a"."""
+        """The iterated unknowns by name, (components, functions); "a" has all normal derivatives."""
         result = {name: x[self.slices[name]] for name in self.names if name not in self.normals}
         for name, count in self.components.items():
             result[name] = result[name].reshape(count, -1)
@@ -88,8 +88,8 @@ class Unknowns:
         return result
 
     def scales(self, x: np.ndarray, exchange: Exchange) -> np.ndarray:
-        """Scales of the unknowns in norms of vectors: the norm of the unknown's block, times 1000 if v
-        determines the block.
+        """Scales of the unknowns in norms of vectors: the norm of the unknown's block, times 1000 if the
+        unknown follows from v.
 
         ``exchange`` belongs to the packed unknowns.
         """
