@@ -1,4 +1,4 @@
-"""Flow rules and viscosities that temperature and pressure change, by the factors of Arrhenius and WLF."""
+"""Flow rules and viscosities that depend on temperature and pressure by the factors of Arrhenius and WLF."""
 
 import math
 from abc import abstractmethod
@@ -27,8 +27,8 @@ class _Activation(Checked):
 
     @property
     def _reads(self) -> set[str]:
-        """Names of the values that the factor depends on: the material's temperature if ``temperature`` is
-        None, and the pressure if V is not 0."""
+        """Names of the values that the factor depends on. The names are those of the material's temperature,
+        if ``temperature`` is None, and of the pressure, if V is not 0."""
         return ({TEMPERATURE} if self.temperature is None else set()) | ({PRESSURE} if self.V else set())
 
     def factor(self, z: Values) -> Any:
@@ -114,8 +114,8 @@ class Activated(_Activation, _Faster):
     V : float
         Activation volume; where it is > 0, pressure slows creep down.
     temperature : float, optional
-        A number; a function of the initial place, which is carried; or an expression of parameters. None is
-        the temperature of a material with heat.
+        A number; a function of the initial place, which is carried; or an expression of parameters. None
+        stands for the temperature of a material with heat.
     """
 
 
@@ -124,8 +124,8 @@ class WLF(_Faster):
     """A flow rule's rate times 1/a_T = 10^{C_1 (theta - theta_R)/(C_2 + theta - theta_R)}.
 
     Williams, Landel and Ferry (1955) describe polymers near the glass transition in this way: all relaxation
-    times are multiplied by a_T. The rate vanishes as theta falls to theta_R - C_2, and stays zero below.
-    Raises ParameterError if a parameter is out of its range.
+    times are multiplied by a_T. The rate vanishes as theta falls to theta_R - C_2, and is zero at lower
+    temperatures. Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ class WLF(_Faster):
     def factor(self, z: Values) -> Any:
         """1/a_T."""
         theta = z[TEMPERATURE] if self.temperature is None else value_at(self.temperature, z)
-        least = 1e-2 * self.C_2  # this temperature gives a shift of 100 C_1 decades
+        least = 1e-2 * self.C_2  # at this distance from theta_R - C_2 the shift is 100 C_1 decades
         above = theta + (self.C_2 - self.theta_R)
         if isinstance(above, (int, float)):
             above = max(above, least)

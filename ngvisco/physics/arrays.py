@@ -27,7 +27,8 @@ Map: TypeAlias = Callable[[np.ndarray], np.ndarray]
 def slope_along(function: Map, at: np.ndarray, direction: np.ndarray) -> np.ndarray:
     """The derivative of an analytic function of arrays in a direction.
 
-    The derivative is the imaginary part at a tiny complex increment; without a difference no digits cancel.
+    The derivative is the imaginary part at a tiny complex increment. No difference is taken, so that no
+    digits cancel.
     """
     return np.ascontiguousarray(function(at + (TINY * 1j) * direction).imag) / TINY
 
@@ -40,9 +41,9 @@ _ONE = np.ones(1)
 
 
 class _Node:
-    """The common base of arrays and linear forms, with linear maps of entries and their transposes.
+    """The base class of arrays and linear forms: linear maps of entries, and the transposes of the maps.
 
-    The class is not an abstract class of Python, with which ``isinstance`` would take five times as long.
+    The class is not an abstract class of Python, because ``isinstance`` would then take five times as long.
     """
 
     __slots__ = ()
@@ -50,8 +51,8 @@ class _Node:
     shape: tuple[int, ...]
 
     _mapped: Callable[[tuple[int, ...], Map, Map], Self]
-    """Gives the image, of a given shape, under a linear map; the last argument is the transposed map, for
-    derivatives."""
+    """A method that returns the image, of a given shape, under a linear map. Its last argument is the
+    transposed map, for derivatives."""
 
     @property
     def rank(self) -> int:
@@ -106,7 +107,8 @@ class _Node:
 
 
 class Array(_Node):
-    """Scalars (points,), vectors (n, points) or matrices (n, m, points), with the operands they come from.
+    """Scalars (points,), vectors (n, points) or matrices (n, m, points), with the operands of their
+    operation.
 
     Products, quotients and powers are those of coefficient functions: ``*`` is the inner product of two
     vectors and the matrix product of two matrices.  An operation that is not supported raises TypeError.
@@ -117,10 +119,10 @@ class Array(_Node):
     is_constant: bool
 
     def __init__(self, value: np.ndarray, parents: Sequence[tuple[Array, Any]] | None = ()) -> None:
-        """``parents`` are operands, each with the map from a derivative by this array to the derivative by
-        the operand.
+        """``parents`` are operands. Each has the map from a derivative by this array to the derivative by the
+        operand.
 
-        An empty sequence makes an independent argument, None a constant.
+        With an empty sequence the array is an independent argument, with None it is a constant.
         """
         self.value, self.shape = value, value.shape[:-1]
         if parents:
@@ -248,8 +250,8 @@ class Array(_Node):
 
 
 class MappedArray(Array):
-    """The image of an array under a constant matrix, computed at first access, because a trace does not need
-    the image."""
+    """The image of an array under a constant matrix. The image is computed at first access, because a trace
+    does not need it."""
 
     __slots__ = ("_made", "_matrix", "_source")
 
@@ -311,8 +313,8 @@ def _times(matrices: np.ndarray, vectors: np.ndarray, per: int) -> np.ndarray:
 class Linear(_Node):
     """A linear form in test functions: a shape and maps back to the test functions, without a value.
 
-    ``Term.cells`` and ``Term.facets`` give an integrand that is linear in the test functions when a
-    ``Linear`` is passed for each of these; ``factors_of_tests`` reads off the factor of each test function.
+    ``Term.cells`` and ``Term.facets`` return an integrand that is linear in the test functions, if they get a
+    ``Linear`` for each test function. ``factors_of_tests`` returns the factor of each test function.
     """
 
     def __init__(
@@ -382,8 +384,8 @@ def derivatives(result: Array, arguments: Sequence[Array]) -> list[np.ndarray]:
 
 
 def _backwards(root: Any, seed: np.ndarray) -> Iterator[tuple[Any, np.ndarray]]:
-    """Yield ``root`` and the nodes that it depends on, latest first, each with the derivative by the node;
-    ``seed`` is the derivative by ``root``."""
+    """Yield ``root`` and the nodes that it depends on, latest first, each with the derivative of the result
+    by this node; ``seed`` is the derivative by ``root``."""
     slopes, nodes, latest = {root.number: seed}, {root.number: root}, [-root.number]
     while latest:
         number = -heapq.heappop(latest)  # all nodes computed from this node have larger numbers

@@ -26,19 +26,19 @@ from ngvisco.physics.tensors import IDENTITY, Tensor, if_positive, opening, shea
 from ngvisco.physics.variables import CreepFrame, PerVolume, Values, Variable
 
 NO_INTERFACE = 1e-6
-"""Least change of a fraction, of a relative compliance or of an averaged logarithm over a cell with an
-interface. The slope of a smaller change is rounding, whose direction has no meaning."""
+"""Least change over a cell with an interface, of a fraction, a relative compliance or an averaged logarithm.
+The slope of a smaller change is rounding, and its direction has no meaning."""
 
 TRACE = 1e-3
-"""An absent body counts with this share of the amount of all matter, at rest."""
+"""Amount, as a share of all matter, that takes the place of the amount of an absent body; it is at rest."""
 
 BACKING_TRACE = 0.1
-"""The share of all matter, N, that is added to the amount n_i of a body that hardens or breaks. The sum is
-the divisor of K_i, an independent polynomial that need not vanish with n_i. The sum is also the weight of the
-energy of cracks, which must be positive because this energy is convex in the damage."""
+"""Share of all matter, N, that is added to the amount n_i of a body that hardens or breaks. The sum has two
+uses. It is the divisor of K_i, an independent polynomial that need not vanish with n_i. It is also the weight
+of the energy of cracks; this weight must be positive, so that the energy is convex in the damage."""
 
 _NOTHING = 1e-12
-"""Weight of a layered body in a point without layered bodies, where the mean modulus has no meaning."""
+"""Weight of a layered body at a point without layered bodies, where the mean modulus has no meaning."""
 
 _HALF = 1 / 5
 """The volume fraction theta_i at which chi_i is 1/2."""
@@ -49,7 +49,7 @@ AMOUNT = "n_"
 
 @runtime_checkable
 class Region(Protocol):
-    """A region of space; ``ngvisco.shapes`` has the shapes, as physics knows no mesh."""
+    """A region of space.  The shapes are in ``ngvisco.shapes``, because physics knows no mesh."""
 
     def level(self, at: Any) -> Any:
         """A number at each place, > 0 inside."""
@@ -85,10 +85,10 @@ class Amount(PerVolume):
 
 @dataclass(frozen=True)
 class Content(Variable):
-    """X_i = n_i B of body i, B a tensor J^a F, J^a Cof F, J^a F F^T or J^a Cof(F F^T) of its distortion.
+    """X_i = n_i B of body i; B is a tensor J^a F, J^a Cof F, J^a F F^T or J^a Cof(F F^T) of its distortion.
 
-    Its rate is the rate of ``tensor``, whose exponent is a - 1 and whose name is the variable's: n_i is 1/J
-    where the body fills the point, and the rate is linear.
+    The rate of X_i is the rate of ``tensor``. This tensor has the exponent a - 1, because n_i is 1/J where
+    the body fills the point, and the variable's name. The rate is linear.
     """
 
     name: str
@@ -113,7 +113,7 @@ class Content(Variable):
 
     @property
     def power(self) -> float | None:
-        """p of det B = J^p for matter that does not creep with a trace; None for a scalar B."""
+        """The exponent p of det B = J^p for matter whose creep rate has no trace; None for a scalar B."""
         ratio = self.tensor.volume_ratio(IDENTITY)
         return None if ratio is None else ratio[1] + 3
 
@@ -137,7 +137,7 @@ class Fractions:
         return {name: z[AMOUNT + name] * inverse for name in self.bodies}
 
     def not_negative(self, z: Values) -> dict[str, Any]:
-        """Volume fractions by the bodies' names, with zero in place of theta_i < 0, an undershoot beside a
+        """Volume fractions by the bodies' names. Zero replaces a negative theta_i, an undershoot beside a
         jump."""
         return {name: if_positive(value, value, 0.0 * value) for name, value in self.at(z).items()}
 
@@ -152,8 +152,8 @@ class Fractions:
         return factors
 
     def behind_planes(self, z: Values) -> dict[str, Any]:
-        """The factor chi_i of each body in cells that interfaces cut, theta_i^3 / sum theta_j^4 with theta_j
-        >= 0.
+        """The factor chi_i of each body in cells that interfaces cut: theta_i^3 / sum theta_j^4, with
+        negative theta_j replaced by zero.
 
         The sum of chi_i theta_i is one: each body ends where its fraction is 1/2, and no part of the strain
         counts twice.
@@ -164,20 +164,20 @@ class Fractions:
         return {name: cube * inverse for name, cube in cubes.items()}
 
     def positive(self, z: Values, body: str) -> Any:
-        """The fraction theta_i of one body, smoothed to be > 0; about ``TRACE`` where theta_i vanishes."""
+        """The fraction theta_i of one body, smoothed so that it is > 0: about ``TRACE`` at theta_i = 0."""
         value = z[AMOUNT + body] / self.total(z)
         return 0.5 * (value + sqrt(value * value + 4 * TRACE**2))
 
     def backed(self, z: Values, body: str) -> Any:
-        """The amount n_i of a body with a trace of N, > 0: the divisor of K_i in the body's plastic strain,
-        and the weight of its cracks' energy."""
+        """The amount n_i of a body plus a trace of N, so that it is > 0. It is the divisor of K_i in the
+        body's plastic strain, and the weight of its cracks' energy."""
         return (1 / (1 + BACKING_TRACE)) * (z[AMOUNT + body] + BACKING_TRACE * self.total(z))
 
 
 @dataclass(frozen=True)
 class Interface:
-    """A quantity of bodies, whose mean has its slope along the normals of the interfaces between the
-    bodies."""
+    """A quantity that has one value in each body. The slope of its mean has the direction of the interfaces'
+    normals."""
 
     values: tuple[tuple[str, float], ...]
     """Pairs of a body's name and its value of the quantity."""
@@ -191,13 +191,13 @@ class Interface:
 
 @dataclass(frozen=True)
 class Parting:
-    """The law by which bodies part: an interface's opening strains more compressible matter in place of the
-    bodies.
+    """The law by which bodies part: the opening of an interface strains the more compressible matter, and not
+    the bodies.
 
-    In a cell with the interface's normal n, body i has the strain rate D_i = D - o_i opening(D, n x n): its
-    own share of a change of volume along n, and of shear across n, is r_i = 1 - o_i. r_i is the compliance
-    1/K_i at rest divided by the mean sum theta_j/K_j: the bodies have one pressure, so that r_i is the body's
-    share of the change of volume.
+    In a cell with the interface's normal n, body i has the strain rate D_i = D - o_i opening(D, n x n). The
+    body keeps the share r_i = 1 - o_i of a change of volume along n, and of shear across n. The compliance
+    1/K_i at rest, divided by the mean sum theta_j/K_j, is r_i: the bodies have one pressure, so that r_i is
+    the body's share of the change of volume.
     """
 
     stiffnesses: tuple[tuple[str, float], ...]
@@ -230,8 +230,8 @@ class Parting:
 class Layers:
     """The law of layered bodies side by side in a cell: they bear one shear traction across their interface.
 
-    In a cell with the interface's normal n, body i has the strain rate D_i = D - o_i S, S the shear of D
-    across n, with 1 - o_i = H/G_i.  G_i is the shear modulus at rest, and 1/H the mean of 1/G_i with the
+    In a cell with the interface's normal n, body i has the strain rate D_i = D - o_i S.  Here S is the shear
+    of D across n, and 1 - o_i = H/G_i.  G_i is the shear modulus at rest; 1/H is the mean of 1/G_i with the
     weights chi_i theta_i.  For small strains the stress of the cell is 2 H S across n.  Bodies that are
     missing in ``stiffnesses`` have the strain rate D.
     """
@@ -261,8 +261,8 @@ class Layers:
         return {name: 1 - 1 / G * H for name, G in self.stiffnesses}
 
     def scaled(self, z: Values) -> dict[str, Any]:
-        """The factors chi_i over sqrt(sum theta_j chi_j^2): solids of one shear modulus have this modulus at
-        each point."""
+        """The factors chi_i divided by sqrt(sum theta_j chi_j^2). With these factors, solids of one shear
+        modulus have this modulus at each point."""
         theta, chi = self.fractions.not_negative(z), self.factors(z)
         scale = 1 / sqrt(reduce(add, (theta[name] * factor * factor for name, factor in chi.items())))
         return {name: scale * factor for name, factor in chi.items()}
@@ -305,24 +305,24 @@ class Body:
     viscosity : Viscosity, optional
         The body's viscosity, in case files with the keys of [rheology.viscosity].
     creep : FlowRule, optional
-        The body's flow rule, in case files with the keys of [rheology.creep]; None with a network, whose
-        branches have their own rules.
+        The body's flow rule, in case files with the keys of [rheology.creep]. A body of a network has None,
+        because the network's branches have their own rules.
     heat : Heat, optional
         The body's conductivity and heat source, in case files with the keys of [rheology.heat]; conductivity
         and source are weighted by the body's fraction, and add to those of [rheology.heat].  All bodies at a
         point have one temperature.
     density : float, optional
-        Density where J = 1; default rho_R of the material.
+        Density where J = 1; the default is rho_R of the material.
     parts : bool
         Whether the body separates from more compressible matter, as a solid in a light gas separates from a
         wall.  In cells that body and gas share, a change of volume strains the body along the interface's
-        normal by the body's own compliance alone, and shear across the interface does not strain the body
+        normal by the body's own compliance alone. Shear across the interface does not strain the body there
         (FORMULATION.md, Section 9).  Shared cells then resist compression by the bulk modulus alone, so that
         two discs of four cells across do not rebound.  The option is for bodies that are many cells across.
     layered : bool
-        Whether the body bears one shear traction with other layered elastic bodies in the cells that they
-        share, like layers on each other, and not one strain rate (FORMULATION.md, Section 9).  With layered
-        bodies ``nv.gradient`` is refused.
+        Whether the body and other layered elastic bodies bear one shear traction in the cells that they
+        share, like layers on each other, instead of one strain rate (FORMULATION.md, Section 9).
+        ``nv.gradient`` refuses layered bodies.
     order : int
         The body of higher order fills the overlap of two bodies at the start.  Bodies of one order must not
         overlap.  The body without a place is below all others and has no order.

@@ -28,7 +28,7 @@ class BodyDamage:
         return cls(law, damage, replace(law.slope, name=f"{law.slope.name}_{body.name}"))
 
     def surface_energy(self, z: Values, weight: Any) -> Any:
-        """The energy of the body's cracks per actual volume, Pa; ``weight`` is the reference volume per
+        """The energy of the body's cracks, Pa, per actual volume.  ``weight`` is the reference volume per
         actual volume."""
         own = {"A": weight, DAMAGE.name: z[self.damage.name], self.law.slope.name: z[self.slope.name]}
         return self.law.surface_energy(own)

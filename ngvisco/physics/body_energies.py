@@ -1,7 +1,7 @@
 """The energy of bodies of different volumetric energies, for arrays of states.
 
-At each point the volumes J_i are those of one pressure (``ngvisco.physics.equilibrium``).  Where bodies
-break, the volumes can be held while damages grow.
+At each point the bodies have one pressure, which determines the volumes J_i
+(``ngvisco.physics.equilibrium``). If bodies break, the volumes can be held while damages grow.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from ngvisco.physics.variables import Values, Variable
 
 @dataclass(frozen=True)
 class EnergyPart(Material):
-    """A part of an energy, as a material. The part is the function ``of`` of the values of the variables
-    ``transported``."""
+    """A part of an energy, as a material. The function ``of`` gives this part from the values of the
+    variables ``transported``."""
 
     of: Callable[[Values], Any]
     transported: tuple[Variable, ...]
@@ -44,8 +44,9 @@ class EnergyPart(Material):
 class InEquilibrium:
     """The response of bodies with different U_i: energy and derivatives for arrays of states.
 
-    With lagged variables, the damages, ``seen`` are the states with these variables' values of the step's
-    start: they determine the volumes J_i, and the slopes by all other variables.
+    Lagged variables are the damages. For a material with lagged variables, ``seen`` are the states with the
+    damages of the step's start. The states ``seen`` determine the volumes J_i, and the slopes by all
+    variables but the damages.
     """
 
     def __init__(
@@ -91,11 +92,11 @@ class InEquilibrium:
         return Response(result.energy + value, result.slope, result.hessian, failure)
 
     def volumes_of(self, states: np.ndarray) -> np.ndarray:
-        """The volumes J_i of all bodies, (points, bodies)."""
+        """The volumes J_i of all bodies at the given states, (points, bodies)."""
         return self._equilibrium(states)[3][..., 0]
 
     def held_energy(self, states: np.ndarray, J: np.ndarray) -> np.ndarray:
-        """The energy with given volumes J_i, (points, bodies), of bodies without heat, Pa."""
+        """The energy, Pa, at given volumes J_i, (points, bodies), for bodies without heat."""
         psi, _, _ = self._of_volumes(states)(J[..., None], np.arange(len(states)))
         return self.shears(states).energy + (self._amounts(states) * psi).sum(axis=1)
 
@@ -108,7 +109,7 @@ class InEquilibrium:
         return np.ascontiguousarray(states[:, list(self.amounts.values())])
 
     def _of_volumes(self, states: np.ndarray) -> Energies:
-        """psi_i, psi_i' and psi_i'' by J_i and, with heat, S_i."""
+        """psi_i with its first and second derivatives by J_i and, with heat, by S_i."""
         size = 1 + len(self.shared)
 
         def energies(y: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -138,11 +139,11 @@ class InEquilibrium:
         y: np.ndarray,
         hessian: np.ndarray,
     ) -> None:
-        """Change the shears' response ``result``: slopes by variables that do not lag become those at the
-        states ``seen``, and the volumes' slopes by damages are added.
+        """Correct the response ``result`` of the shears for lagged variables.
 
-        ``changed`` are the points at which both states differ, y the volumes of the states ``seen``, and
-        ``hessian`` the second derivative of V there.
+        Slopes by variables that do not lag become the slopes at the states ``seen``. The volumes' slopes by
+        the damages are added. ``changed`` are the points at which ``states`` and ``seen`` differ, ``y`` are
+        the volumes at the states ``seen``, and ``hessian`` is the second derivative of V there.
         """
         lagged, others = np.flatnonzero(self.lagged), np.flatnonzero(~self.lagged)
         if seen is not None:
@@ -171,7 +172,7 @@ class InEquilibrium:
                 result.hessian[:, amounts, d] += by_amounts
 
     def _start(self, n: np.ndarray, total: np.ndarray) -> np.ndarray:
-        """J_i, and S_i with heat, for bodies of one volume and one temperature; NaN if there are none."""
+        """J_i, and S_i with heat, for bodies of one volume and one temperature; NaN if they do not exist."""
         with np.errstate(all="ignore"):
             N = n.sum(axis=1)
             J = np.where(N > 0, 1 / N, np.nan)
@@ -183,7 +184,8 @@ class InEquilibrium:
             return np.stack([np.stack([J, S[name]], axis=1) for name in amounts], axis=1)
 
     def _failure(self, n: np.ndarray) -> str | None:
-        """The message about points without a common pressure, with the amounts ``n``; None for no points."""
+        """The message about points without a common pressure, with the amounts ``n``; None if there are no
+        such points."""
         if not len(n):
             return None
         common = "pressure" if self.heat is None else "pressure and temperature"

@@ -25,12 +25,13 @@ from ngvisco.physics.variables import (
 )
 
 DRIFT = 0.1
-"""A step is refused if the cell mean of |det F/J - 1| is above this number, the size of the error
-that the stress can then have."""
+"""Largest cell mean of |det F/J - 1| with which a step is accepted. The stress can then have an error of this
+size."""
 
 
 def parted(material: Material, pair: str, rms: float, largest: float, where: str) -> str:
-    """The message of a run about a ``pair`` of variables with relative differences, largest at ``where``."""
+    """The run's message about a ``pair`` of variables: their relative differences ``rms`` and ``largest``,
+    and the place ``where`` of the largest one."""
     return (
         f"{pair} differ by {rms:.1%} in the mean square, and by {largest:.1%} {where}. The variables no "
         "longer belong to one distortion, so that the stress at a point can be wrong by as much, although "
@@ -43,10 +44,10 @@ def relative_defects(material: Material, z: Values, traced: Collection[str] = ()
 
     * ``"det F and J"``: det z |J|^-n - 1 for each tensor z, n from its exponent; ``"det B and 1"`` for n = 0,
     * ``"H and Cof F"``: |H - Cof F|/|Cof F| with the factors of J, likewise for N and B,
-    * ``"A and J"``: A J - 1, and ``"K and A"``: K/A + ln A.
+    * ``"A and J"``: A J - 1; and ``"K and A"``: K/A + ln A.
 
-    The first relation omits ``traced`` variables, whose creep rate has a trace: J does not determine their
-    determinant.
+    The first relation omits ``traced`` variables. Their creep rate has a trace, so that J does not determine
+    their determinant.
     """
     variables = {v.name: v for v in material.variables}
     defects: dict[str, Tensor] = {}
@@ -84,11 +85,10 @@ def drifts(material: Material, z: Values, traced: Collection[str] = ()) -> dict[
     """The drift det F/J - 1 of each tensor that is carried beside J, by the names of both.
 
     F is the distortion of the tensor z.  det z = J^n (det F/J)^d, where d is 1 for F and 2 for F F^T and Cof
-    F, and det z = J^n without drift.  Variables in ``Material.continued`` have no drift, as their J may be
-    <= 0.
+    F; without drift det z = J^n.  Variables in ``Material.continued`` have no drift, as their J may be <= 0.
 
-    For F F^T the drift is at most zero, so that only a loss of det F counts: a mean of such tensors has a
-    larger determinant than the tensors (Minkowski), and an energy above the energy at rest.  A mean of F over
+    For F F^T only a loss of det F counts, so that the drift is at most zero. A mean of such tensors has a
+    larger determinant than the tensors (Minkowski), and an energy above that at rest.  A mean of F over
     different rotations has a smaller determinant, so that energy at rest becomes motion.
     """
     volume = next((v for v in material.variables if isinstance(v, (Jacobian, ReciprocalJacobian))), None)

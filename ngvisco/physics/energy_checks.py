@@ -3,17 +3,17 @@
 **The state alone.**  The ledger's conjugates are derivatives by the state.  An energy that also depends on
 place, time, a grid function or the mesh is refused: no term of the equations balances this part of its rate.
 
-**All observers.**  phi(z*) = phi(z) for the values z* that an observer turned by a rotation Q sees: Q F for F
-and likewise for its cofactor, Q E Q^T for spatial tensors.  phi is then isotropic in spatial tensors;
-therefore S E = E S, the Cauchy stress is symmetric, and phi depends on F only through B = F F^T.
+**All observers.**  phi(z*) = phi(z) for the values z* that an observer turned by a rotation Q sees: Q F for
+F, a rotated cofactor in the same way, and Q E Q^T for spatial tensors.  phi is then isotropic in spatial
+tensors. Therefore S E = E S, the Cauchy stress is symmetric, and phi depends on F only through B = F F^T.
 
 **Convexity.**  The scheme never creates energy because every step's Bregman distance phi(b) - phi(a) -
-phi'(a) : (b - a) is >= 0.  The distance is >= 0 where phi is convex in all strains together at fixed
-parameters; the strains count as independent, as the discrete J is not exactly det F.  ``check_convexity``
-evaluates the distance for random states a.  For each a, some states b lie near a and farther along the
-eigenvector of the Hessian's smallest eigenvalue, and one is another random state.  States whose variables fit
-together as in a motion (J = det F, ...) are cited first: a violation at other states matters only as far as
-variables drift apart.
+phi'(a) : (b - a) is >= 0.  The distance is >= 0 where phi is convex in all strains together, at fixed
+parameters. The strains count as independent, because the discrete J is not exactly det F.
+``check_convexity`` evaluates the distance for random states a and several states b for each a.  Some states b
+lie near a, and farther along the eigenvector of the Hessian's smallest eigenvalue; one b is another random
+state.  Variables of some states fit together as in a motion (J = det F, ...). These states are cited first: a
+violation at other states matters only as far as variables drift apart.
 """
 
 import warnings
@@ -61,7 +61,7 @@ def check_energy(material: Material) -> None:
         check_energy(inner)  # a wrapper derives its energy from the energy of the inner material
         return
     phi, slopes = _of_state(material, *_given(material), material.energy)
-    if max(slopes) <= 1e-14 * max(np.abs(sampled(phi))):  # derivatives that cancel leave only rounding
+    if max(slopes) <= 1e-14 * max(np.abs(sampled(phi))):  # derivatives that cancel leave rounding only
         expected = f"an energy that changes with {_names(material)}, but the given energy is a constant"
         raise ParameterError(*_given(material), expected)
 
@@ -93,7 +93,7 @@ def check_bound(material: Material, field: str, function: Callable[..., Coeffici
     Q[:, 0] *= np.linalg.det(Q)
     if not np.allclose(at(_turned(material, 3, Q, states)), at(states), rtol=1e-8, equal_nan=True):
         raise ParameterError(field, function, "a function that is the same for all observers")
-    # also states near rest, since every bound admits some of them
+    # states near rest are sampled too, because every bound admits some of them
     states = np.concatenate([states, *(z_rest + share * (states - z_rest) for share in (0.3, 0.1, 0.03))])
     inside = states[at(states) > 0]
     for shift in range(1, _PAIRINGS + 1):
@@ -172,8 +172,8 @@ class StateSampling:
         return states_of(self.material, F, self.dim)
 
     def changed(self, fitting: np.ndarray) -> np.ndarray:
-        """The states with an independent random change of each strain, because the discrete strains of a
-        state need not belong to one F."""
+        """The states, with an independent random change of each strain. The changes are independent because
+        the discrete strains of a state need not belong to one F."""
         states = fitting.copy()
         for variable in self.material.variables:
             part = states[:, self.space.slices[variable.name]]
@@ -323,17 +323,18 @@ def _weakest_directions(response: Response, states: np.ndarray, strains: np.ndar
 def _worst_bregman(
     sampling: StateSampling, at_a: Response, states: np.ndarray, increments: Sequence[np.ndarray]
 ) -> tuple[int, float, tuple[np.ndarray, np.ndarray] | None]:
-    """Number of pairs, most negative Bregman distance divided by |b - a|^2 (or 0), and its pair (a, b - a).
+    """The number of pairs; the most negative Bregman distance divided by |b - a|^2, or 0; and the pair (a, b
+    - a) of this distance.
 
-    The first state a of every pair is one of ``states``, which have the response ``at_a``.
+    The first state a of every pair is one of ``states``; ``at_a`` is the response of these states.
     """
     material, repeats = sampling.material, len(increments)
     a, step = np.tile(states, (repeats, 1)), np.concatenate(increments)
     phi_a, slope_a = np.tile(at_a.energy, repeats), np.tile(at_a.slope, (repeats, 1))
 
     def bounds(components: CoefficientFunction) -> CoefficientFunction:
-        """Functions that are > 0 where the energy has to be convex: J, the minors of B, ...; det F is left
-        out, because the set of F with det F > 0 is not convex."""
+        """Functions that are > 0 where the energy has to be convex: J, the minors of B, ... det F is not
+        among them, because the set of F with det F > 0 is not convex."""
         z = sampling.space.tensors(lambda: components)
         variables = (v for v in material.variables if v.kind != "full" and v.name not in material.continued)
         return CF((1.0, *(value for v in variables for value in v.positive(z[v.name]).values())))
@@ -382,7 +383,7 @@ def check_isotropy(material: Material, *, dim: int = 3, spread: float = 0.4, see
     ----------
     material : Material
     dim : int
-        Dimension of the run's mesh; with 2 all rotations are in the plane.
+        Dimension of the run's mesh; if it is 2, all rotations are in the plane.
     spread : float
         Size of the sampled region, as for ``check_convexity``.
     seed : int
@@ -405,7 +406,7 @@ def check_isotropy(material: Material, *, dim: int = 3, spread: float = 0.4, see
         if not finite.any():
             continue
         energies = energy[np.isfinite(energy)]
-        # above rounding, relative to the spread, because an energy is determined up to a constant
+        # the bound is above rounding, and relative to the spread, because a constant in the energy is free
         bound = 1e-8 * np.ptp(energies) + 1e-13 * np.abs(energies).max()
         change = np.where(finite & (change > bound), change, 0.0)
         i = int(np.argmax(change))
@@ -426,7 +427,7 @@ def _turned(material: Material, dim: int, Q: np.ndarray, states: np.ndarray) -> 
 
 
 def require_isotropy(material: Material) -> None:
-    """Raise ParameterError, with a rotation that shows it, if a material's energy depends on the observer."""
+    """Raise ParameterError if a material's energy depends on the observer; the message shows a rotation."""
     report = check_isotropy(material)
     if not report.passed:
         expected = f"an energy that is the same for all observers, but the given energy {report}"

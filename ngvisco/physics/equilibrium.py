@@ -1,22 +1,22 @@
 """Bodies at one point in equilibrium of pressure, and of temperature where they have heat.
 
-Bodies with the amounts n_i share the volume J and, with heat, the entropy S so that their energy is least.
-With y_i = J_i or (J_i, S_i),
+Bodies with the amounts n_i share the volume J and, with heat, the entropy S, in such a way that their energy
+is least. With y_i = J_i or (J_i, S_i),
 
     W(n, c) = min over y_i with sum n_i y_i = c of  sum n_i psi_i(y_i),      c = 1, or (1, s):
 
 All psi_i'(y_i) equal one multiplier m = -p or (-p, theta).  W is jointly convex, as the minimum of a sum of
-perspectives.  By the envelope theorem dW/dn_i = psi_i - m . y_i and dW/dc = m.  From Q dm = dc - sum y_i
-dn_i, Q = sum n_i psi_i''^-1, its second derivative is a_k . Q^-1 a_l, where a is -y_i for n_i and a unit
-vector for a component of c.
+perspectives.  By the envelope theorem dW/dn_i = psi_i - m . y_i and dW/dc = m.  With Q = sum n_i psi_i''^-1
+we have Q dm = dc - sum y_i dn_i. The second derivative of W is therefore a_k . Q^-1 a_l, where a is -y_i for
+n_i and a unit vector for a component of c.
 
 Bodies with heat have psi_i = U_i(J) + u_i(S, J) (``Thermal``) and share the entropy s per actual volume;
-dW/ds is their common temperature.  S_i = c_i (ln(theta/theta_R,i) + g_i(J_i)), so that at known volumes
+dW/ds is their common temperature.  From S_i = c_i (ln(theta/theta_R,i) + g_i(J_i)) follows, at known volumes,
 
     ln theta = (s + sum n_i c_i (ln theta_R,i - g_i(J_i)))/sum n_i c_i.
 
-Where all bodies have the same thermal pressure as a function of (J, theta) and the same U_i'(J), all J_i are
-1/N and W has an expression.
+If all bodies have the same thermal pressure as a function of (J, theta) and the same U_i'(J), all J_i are 1/N
+and W has an expression.
 """
 
 from __future__ import annotations
@@ -39,16 +39,17 @@ _LEAST = 0.2
 """The least factor by which a step multiplies J_i."""
 
 _FLAT = 1e-3
-"""The least J_i, to which other bodies may compress a body whose energy is finite at J = 0."""
+"""The least J_i of a body whose energy is finite at J = 0, and which other bodies may compress."""
 
 Energies = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, ...]]
-"""Function of y, (points, bodies, size), and the points' numbers: psi, (points, bodies), psi' and psi''."""
+"""Function of y, (points, bodies, size), and of the points' numbers; returns psi, (points, bodies), psi' and
+psi''."""
 
 
 def equilibrium(
     energies: Energies, n: np.ndarray, total: np.ndarray, start: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """W, its slope and second derivative by n_i and, with heat, s, and y; W is NaN at points without an
+    """W, its slope and second derivative by n_i and, with heat, by s; and y. W is NaN at points without an
     equilibrium.
 
     Newton's method finds y_i and m from ``start``, (points, bodies, size), at points where ``start`` is
@@ -92,7 +93,7 @@ def equilibrium(
 
 
 def _compliance(y: np.ndarray, excess: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """The inverses psi''^-1, with zeros for a volume at its lower bound, psi_J > m."""
+    """The inverses psi''^-1; a volume at its lower bound, where psi_J > m, has zeros."""
     compliance = _inverse(second)
     held = (y[..., 0] <= _FLAT) & (excess[..., 0] > 0)
     compliance[held, 0], compliance[held, :, 0] = 0.0, 0.0
@@ -146,7 +147,7 @@ class MixedHeat:
         return temperatures.pop() if len(temperatures) == 1 else None
 
     def capacity(self, n: Mapping[str, Any]) -> Any:
-        """The heat capacity sum n_i c_i, J/(m^3 K)."""
+        """The heat capacity sum n_i c_i of all bodies, J/(m^3 K)."""
         return reduce(add, (part.c * n[name] for name, part in self.parts.items()))
 
     def total(self, n: Mapping[str, Any], log_theta: Any, J: Any) -> Any:

@@ -1,8 +1,8 @@
 """Heat of a body: conduction, exchange through walls, and sources.
 
 A material with a temperature (``ngvisco.physics.materials.thermal``) is heated by the dissipation of all its
-mechanisms.  ``Heat`` adds conduction and sources, ``WallHeat`` the exchange through a wall; without them
-nothing is conducted and walls are insulated.
+mechanisms.  ``Heat`` adds conduction and sources, ``WallHeat`` adds the exchange through a wall. By default
+nothing is conducted, and walls are insulated.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -52,7 +52,7 @@ class WallHeat(Checked):
     flux : float, optional
         Further flux inwards, independent of the temperature; a function of the place and the run's time.
     friction_share : float
-        Share of the wall's friction heat that heats the body, default all.  The rest of the friction heat
+        Share of the wall's friction heat that heats the body, by default all.  The rest of the friction heat
         goes into the wall.
     """
 
@@ -85,7 +85,7 @@ class Heat(Checked):
         Rate of heat production; a function of the place and the run's time.
     numerical_heating : bool
         Whether the dissipation of the time scheme heats the body too, so that the total energy is kept to
-        rounding; with the backward Euler scheme only.
+        rounding. This is available with the backward Euler scheme only.
     """
 
     conductivity: Annotated[Conductivity, Quantity("W/(m K)", example="0.5*(theta/300)**0.7")] = 0.0
@@ -148,8 +148,8 @@ _TEMPERATURES = 10.0 ** np.arange(-3, 5)
 
 @dataclass(frozen=True)
 class HeatLaw:
-    """The conduction and sources of a model and of its bodies by their fractions: kappa = kappa_0 + sum
-    theta_i kappa_i."""
+    """The conduction kappa = kappa_0 + sum theta_i kappa_i and the heat sources of a model and its bodies,
+    weighted by the bodies' fractions."""
 
     parts: Mapping[str | None, Heat]
     """Laws by the bodies' names; the key is None for all matter."""

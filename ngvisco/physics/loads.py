@@ -22,7 +22,7 @@ class Gravity:
     g : sequence of numbers or coefficient functions, or a vector coefficient function
         Acceleration, a component for each dimension; a function of x and of the run's time.
     name : str
-        The load's power is the ledger's column power_<name>.
+        Name of the load. The ledger's column power_<name> has the load's power.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class CentralGravity:
         Radius at which the strength holds.
     exponent : float
         The acceleration is proportional to r^exponent: 0 for a constant (a mantle), 1 for the inside of a
-        homogeneous ball, -2 for its outside (-1 in 2D); below 1 the centre must not be in the domain.
+        homogeneous ball, -2 for its outside (-1 in 2D). Below 1 the centre must not be in the domain.
     name
         As for ``Gravity``.
     """

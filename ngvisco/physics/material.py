@@ -53,11 +53,12 @@ class StateSpace:
     size : int
         Number of components N of a state.
     slices, spaces : dict
-        Range of every variable's components in a state, and space of its tensors, by its name.
+        Range of each variable's components in a state, and space of each variable's tensors, by name.
     strains, by_flux : (size,) arrays of bool
-        Masks of the components of strains (no parameters), and of densities transported by their flux.
+        Masks of the components of strains (not of parameters), and of densities transported by their flux.
     densities : (size,) array
-        Mass per unit of each component: rho = sum densities_i z_i, kg/m^3; 0 if z_i is no amount of matter.
+        Mass per unit of each component: rho = sum densities_i z_i, kg/m^3. It is 0 if z_i is no amount of
+        matter.
     """
 
     def __init__(self, variables: tuple[Variable, ...], dim: int) -> None:
@@ -91,7 +92,7 @@ class StateSpace:
     def tensors(self, components: Callable[[], Tensor], parts: Mapping[str, Tensor] | None = None) -> Values:
         """All values by name; each is made at its first access.
 
-        ``parts`` are the components of each variable, if they are functions of their own.
+        ``parts`` are the components of each variable, if each variable has a function of its own.
         """
         return _Tensors(self, components, parts)
 
@@ -162,7 +163,8 @@ class Material(Checked, ABC):
         """Stored energy per actual volume, Pa, from the variables' values by name."""
 
     def with_elastic_state(self, state: ElasticState) -> Material:
-        """The material by F or by B = F F^T, as ``state`` says; unchanged if its state is fixed already."""
+        """The material with variables by F or by B = F F^T, as ``state`` says; unchanged if its state is
+        fixed already."""
         return self
 
     @property
@@ -182,7 +184,8 @@ class Material(Checked, ABC):
 
     @property
     def summed(self) -> tuple[tuple[str, ...], ...]:
-        """Groups of variables: phi is a sum of energies, each of one group and of variables in no group."""
+        """Groups of variables. phi is a sum of energies; each energy reads one group, and variables that are
+        in no group."""
         return ()
 
     @property
@@ -192,7 +195,8 @@ class Material(Checked, ABC):
 
     @property
     def curved_part(self) -> Material:
-        """A material of some of the variables, whose energy has the phi'' of all variables."""
+        """A material of some of the variables, whose energy has the second derivative phi'' of this
+        material."""
         return self
 
     @property
@@ -203,7 +207,8 @@ class Material(Checked, ABC):
 
     @property
     def continued(self) -> frozenset[str]:
-        """Names of variables whose bounds (``Variable.positive``) do not bind: the energy is continued.
+        """Names of variables whose bounds (``Variable.positive``) need not hold, because the energy is
+        continued beyond them.
 
         The parameter J_min and a Yosida approximation make an energy continued. An energy that merely has
         values at J <= 0, such as (J - 1)^2, is not continued: J <= 0 means interpenetration.
@@ -211,17 +216,17 @@ class Material(Checked, ABC):
         return frozenset()
 
     def domain(self, z: Values) -> Values:
-        """Scalars, besides the variables' bounds, that must be > 0 for the energy to have a value, by their
-        names in messages; empty by default.
+        """Scalars that must be > 0 for the energy to have a value, besides the variables' bounds. The keys
+        are their names in messages; empty by default.
 
-        The set of states where all scalars are positive has to be convex, as with scalars that are concave in
-        z.  The set then contains all states between a state and its cell's mean.
+        The set of states where all scalars are positive has to be convex, as it is for scalars that are
+        concave in z.  The set then contains all states between a state and its cell's mean.
         """
         return {}
 
     def positive(self, z: Values) -> dict[str, Values]:
-        """Functions of a state that must be > 0: under its name the functions of each variable that is not
-        ``continued``, under "" the functions of several variables.
+        """Functions of a state that must be > 0. The key is the name of the function's variable, for
+        variables that are not ``continued``, and "" for functions of several variables.
         """
         kept = (v for v in self.variables if v.name not in self.continued)
         bounds = {v.name: v.positive(z[v.name]) for v in kept}
@@ -234,20 +239,20 @@ class Material(Checked, ABC):
         return frozenset()
 
     def at_rest(self, z: Values) -> Values:
-        """The state of F = I, with the parameters and concentrations of ``z``."""
+        """The state of F = I, with parameters and concentrations from ``z``."""
         return {v.name: v.from_distortion(IDENTITY) if v.is_strain else z[v.name] for v in self.variables}
 
     @property
     def lagged(self) -> frozenset[str]:
-        """Names of variables that enter the others' conjugates by their values at a step's start.
+        """Names of variables whose values at a step's start enter the conjugates of all other variables.
 
-        An energy that is convex in these variables and in all others, but not jointly, then has a Bregman
-        distance >= 0.
+        The energy may then be convex in these variables and convex in all others, but not jointly convex: its
+        Bregman distance is still >= 0.
         """
         return frozenset()
 
     def taking_part(self, z: Values) -> Values:
-        """Factors >= 0 of sym L and Pi in rates, by names of variables; 1 for all other variables."""
+        """Factors >= 0 of sym L and Pi in the rates, by the names of variables. All other factors are 1."""
         return {}
 
     @property
@@ -257,13 +262,16 @@ class Material(Checked, ABC):
         return None
 
     def parted(self, z: Values) -> Values:
-        """Shares of the motion at an interface that other matter takes, by variables; 0 for all others."""
+        """Shares of the motion at an interface that other matter takes, by the names of variables. All other
+        shares are 0."""
         return {}
 
     def rate(self, variable: Variable, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
-        """rate(z; L, Pi) of a variable; for a density without the part -(tr L) z, which its flux contains.
+        """The rate rate(z; L, Pi) of a variable. For a density it omits the part -(tr L) z, which the flux
+        contains.
 
-        With ``PARTED`` and ``INTERFACE``, n x n, in ``z``, strain rates differ at this interface.
+        If ``z`` has ``PARTED`` and ``INTERFACE``, n x n, the strain rates on both sides of this interface
+        differ.
         """
         share = self.taking_part(z).get(variable.name)
         if share is not None:
@@ -284,7 +292,7 @@ class Material(Checked, ABC):
 
 
 def check_material(material: Material) -> None:
-    """Raise ParameterError, which says what would be right, if a list of variables makes no sense."""
+    """Raise ParameterError if a list of variables makes no sense; the message says what would be right."""
     field = f"{type(material).__name__}.variables"
     for variable in material.variables:
         if not isinstance(variable, Variable):
@@ -312,7 +320,7 @@ M = TypeVar("M", bound=Material)
 
 
 def part_of(material: object, kind: type[M]) -> M | None:
-    """The material of class ``kind`` among a material and the materials that it wraps; None without one."""
+    """The material of class ``kind``, among a material and the materials that it wraps; None without one."""
     while isinstance(material, Material) and not isinstance(material, kind):
         material = getattr(material, "material", None)
     return material if isinstance(material, kind) else None
@@ -364,8 +372,8 @@ def cauchy_stress(
     """Cauchy stress T, 3x3, Pa (paper: Cauchy-stress-polyconvex).
 
     ``zeta`` defaults to the exact conjugates; the discretisation passes projected conjugates. ``phi``
-    defaults to the expression of the energy. The affine part of a rate (eps(v) for E) is linear in L, so T :
-    A = power(A) + phi tr A.
+    defaults to the expression of the energy. The affine part of a rate, such as eps(v) for E, is linear in L.
+    Hence T : A = power(A) + phi tr A.
     """
     zeta = conjugates(material, z) if zeta is None else zeta
     zero = constant(np.zeros((3, 3)))
@@ -375,8 +383,8 @@ def cauchy_stress(
 
 
 def rest_stress_and_modulus(material: Material) -> tuple[float, float]:
-    """Mean stress and bulk modulus at rest, Pa: (J phi)' and (J phi)'' by J along F = J^{1/3} I at J = 1, for
-    the parameters' typical values."""
+    """Mean stress and bulk modulus at rest, Pa, for the parameters' typical values. They are the first and
+    second derivatives of J phi by J along F = J^{1/3} I, at J = 1."""
     J, typical = CF(1.0).MakeVariable(), substituted(material, lambda expression: expression.typical)
     z = {v.name: v.from_distortion(J ** (1 / 3) * Id(3)) for v in material.variables}
     stress = (J * typical.energy(z)).Diff(J)
@@ -404,7 +412,8 @@ def mandel_stress(
 
 
 def volume_ratio(material: Material, z: Values) -> Tensor:
-    """J from the first scalar, else from the first tensor's determinant, that determines J."""
+    """J from the first scalar that determines J; without such a scalar, from the first tensor whose
+    determinant does."""
     variables = sorted(material.variables, key=lambda v: v.kind != "scalar")
     ratios = (v.volume_ratio(z[v.name]) for v in variables)
     power, exponent = next(ratio for ratio in ratios if ratio is not None and abs(ratio[1]) > 1e-12)
@@ -413,7 +422,7 @@ def volume_ratio(material: Material, z: Values) -> Tensor:
 
 @dataclass(frozen=True, kw_only=True)
 class Wrapper(Material):
-    """A material that wraps another one and takes over each property that it does not define.
+    """A material that wraps another one, and has the other one's properties where it defines none.
 
     Raises ParameterError if ``material`` is no Material, or a parameter is out of its range.
     """

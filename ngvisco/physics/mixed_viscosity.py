@@ -20,18 +20,18 @@ from ngvisco.physics.variables import INTERFACE, Values
 class MixedViscosity(Viscosity):
     """The stress sum theta_i D_i eps; shear across an interface of Stokes fluids has the mean fluidity.
 
-    In a cell with an interface of normal n, the shear across the interface acts on layers in series.  For the
-    part
+    In a cell with an interface of normal n, the shear across the interface acts on layers in series.  This
+    shear is the part
 
         S(eps) = P eps + P eps^T - 2 P eps P,   P = n x n,
 
-    of dev eps the viscosity is H, 1/H = sum theta_i/G_i; for the rest of dev eps, which both sides share, the
+    of dev eps. Its viscosity is H, 1/H = sum theta_i/G_i. Both sides share the rest of dev eps, whose
     viscosity is A = sum theta_i G_i.  D = 2 A dev eps - 2 (A - H) S(dev eps) is symmetric, and D : eps >= 0.
-    n is the normal at the step's start.  The viscosity is A for all parts if a body has no shear viscosity,
-    or a nonlinear one.
+    n is the normal at the step's start.  All parts have the viscosity A if a body has no shear viscosity, or
+    a nonlinear one.
 
-    If bodies part, D_i acts on the body's own strain rate instead (``Parting``), and the stress is mapped by
-    the transpose.
+    If bodies part, D_i acts on the body's own strain rate instead (``Parting``), and the transpose maps the
+    stress.
     """
 
     parts: tuple[tuple[str, Viscosity], ...]
@@ -56,7 +56,8 @@ class MixedViscosity(Viscosity):
 
     @property
     def interface(self) -> Interface | None:
-        """The interface of bodies that part, or of logarithms of viscosities in series, else None."""
+        """The interface: of bodies that part, or else of the logarithms of viscosities in series. None if
+        there are no such bodies."""
         if self.parting is not None:
             return self.parting.interface
         logarithms = tuple((name, math.log(G_v)) for name, G_v in self.in_series.items())

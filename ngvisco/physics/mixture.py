@@ -5,20 +5,22 @@ densities n_i and X_i = n_i B.  With volume fractions alpha_i in equilibrium of 
 
     phi(n, X) = min over alpha_i of sum n_i psi_i(X_i/n_i, alpha_i/n_i) = sum n_i f_i(X_i/n_i) + V(n):
 
-n psi(X/n, alpha/n) is the perspective of a convex function and jointly convex, and the minimum of such a sum
-over alpha is convex: phi is convex in all carried densities.  V = sum n_i U_i(1/N), N = sum n_j, if all U_i'
-are one function; else ``ngvisco.physics.equilibrium`` gives V.  n f(X/n) is linear, C : (X - n I), if f is
-linear.  Any other f has the arguments n + eta (N - n), X + eta (N - n) I, an affine map that keeps phi
-convex: an absent body is a trace of matter at rest.  Hardening adds w phi_h(K/w), w = (n + delta N)/(1 +
-delta), which is n phi_h(k) where the body fills the point.  Bodies with heat have one temperature and one
-entropy s, and V(n) becomes W(n, s).
+n psi(X/n, alpha/n) is the perspective of a convex function and jointly convex. The minimum of a sum of
+perspectives over alpha is convex, so that phi is convex in all carried densities.  If all U_i' are one
+function, V = sum n_i U_i(1/N) with N = sum n_j; else ``ngvisco.physics.equilibrium`` gives V.
+
+If f is linear, n f(X/n) is linear, C : (X - n I).  Any other f has the arguments n + eta (N - n), X + eta (N
+- n) I, an affine map that keeps phi convex: an absent body is a trace of matter at rest.  Hardening adds w
+phi_h(K/w) with w = (n + delta N)/(1 + delta), which is n phi_h(k) where the body fills the point.  Bodies
+with heat have one temperature and one entropy s, and V(n) becomes W(n, s).
 
 A body that breaks (``Damaged``) has its own damage d_i and slope q_i. The damage degrades f_i and U_i alone.
-The energy of its cracks has the weight w: where the body is absent, d_i changes no other energy. phi is
-convex in the densities for given damages, but the minimum over alpha_i is not convex in d_i. Therefore the
-conjugate of d_i has the volumes alpha_i of the damages at the step's start, which the conjugates of the
-densities have (``Material.lagged``), and d_i grows with held volumes. For given volumes phi is convex in
-(d_i, q_i), and the minimum over the volumes is not larger: both Bregman distances are >= 0.
+The energy of its cracks has the weight w: where the body is absent, d_i changes no other energy.
+
+For given damages phi is convex in the densities, but the minimum over alpha_i is not convex in d_i. Therefore
+all conjugates have the volumes alpha_i that belong to the damages at the step's start (``Material.lagged``),
+and d_i grows with held volumes. For given volumes phi is convex in (d_i, q_i), and the minimum over the
+volumes is not larger: both Bregman distances are >= 0.
 
 Body i has the spin W, the strain rate chi_i D and the creep rate chi_i Pi_i.  The body's fraction determines
 chi_i (``taking_part``): where the fraction is <= 0, chi_i is 0, and tensors of the body turn, but neither
@@ -62,8 +64,8 @@ from ngvisco.physics.tensors import IDENTITY, Tensor, identity_like
 from ngvisco.physics.variables import PRESSURE, Jacobian, Values, Variable
 
 _LIGHTEST = "the density, less half of that of the lightest body"
-"""Name of the bound on the density. Without this bound the forces of bodies would accelerate matter that is
-lighter than every body."""
+"""Name of the bound on the density. Without this bound the density may fall below that of every body, and
+forces of bodies would accelerate such matter."""
 
 _SAME = 1e-9
 """Relative difference below which two volumetric energies count as one function."""
@@ -112,8 +114,8 @@ class Mixture(Material):
         return {body.name: z[AMOUNT + body.name] for body in self.bodies}
 
     def require(self) -> None:
-        """Raise ParameterError for an energy not convex per reference volume, or for a law that needs one
-        volumetric energy U_i where bodies have several."""
+        """Raise ParameterError for an energy that is not convex per reference volume. Bodies with several
+        volumetric energies U_i are also refused if a law needs one U_i."""
         for body in self.bodies:
             psi = self.energies[body.name]
             psi.require()
@@ -208,7 +210,7 @@ class Mixture(Material):
         return replace(self, bodies=tuple(bodies))
 
     def with_carried(self, parameters: Sequence[Parameter]) -> Mixture:
-        """The mixture with further ``parameters``, of the model's other laws, that it lacks."""
+        """The mixture with the further ``parameters`` of the model's other laws that it lacks."""
         more = distinct((*self.parameters, *parameters))[len(self.parameters) :]
         return replace(self, carried=(*self.carried, *more)) if more else self
 
@@ -232,9 +234,10 @@ class Mixture(Material):
         return {name: psi.stiffness + of_heat.get(name, 0.0) for name, psi in self.energies.items()}
 
     def positive(self, z: Values) -> dict[str, Values]:
-        """Functions of a state that must be > 0: N; if the U_i differ, sum n_i/U_i'', for a common pressure;
-        with heat, sum n_i c_i. If an f_i is nonlinear or a body hardens or breaks, the amount n_i plus half
-        of its trace must be > 0, too."""
+        """Functions of a state that must be > 0.
+
+        They are N; for a common pressure, sum n_i/U_i'' if the U_i differ; sum n_i c_i with heat. If an f_i
+        is nonlinear or a body hardens or breaks, each amount n_i plus half of its trace is one of them."""
         n, total = self.amounts(z), self.fractions.total(z)
 
         def above(share: float, sizes: Sequence[float]) -> Any:
@@ -299,8 +302,8 @@ class Mixture(Material):
         return self.fractions.behind_planes if self.are_apart else self.fractions.taking_part
 
     def films(self, name: str) -> Films | None:
-        """The creep rate of a body in cells that it shares with films of fluid; None if fractions are those
-        of a mixture, and for bodies that part."""
+        """The creep rate of a body in cells that it shares with films of fluid. None if the bodies of a cell
+        are mixed and not apart, or if bodies part."""
         if not self.are_apart or self.parting is not None:
             return None
         fluids = [b for b in self.bodies if not self.energies[b.name].tensors]
@@ -327,8 +330,8 @@ class Mixture(Material):
         return {X.name: share for name, share in shares.items() for X in self.contents(name)}
 
     def filled(self, shares: Mapping[str, Any], F: Tensor | Mapping[str, Tensor]) -> dict[str, Any]:
-        """n_i and X_i by name for volume ``shares`` of the bodies and their distortion F: one for all, or F
-        by the bodies' names."""
+        """n_i and X_i by name, for the volume ``shares`` of the bodies and their distortion F. F is one
+        distortion for all bodies, or a distortion by the bodies' names."""
         by_body = F if isinstance(F, Mapping) else dict.fromkeys(shares, F)
         values = {AMOUNT + name: share / Det(by_body[name]) for name, share in shares.items()}
         for name, share in shares.items():
@@ -341,17 +344,17 @@ class Mixture(Material):
         return {**z, **self.filled(self.fractions.at(z), IDENTITY), **hardening}
 
     def own_names(self, body: str) -> dict[str, str]:
-        """Names of the carried variables by the names under which a body's energy reads them: its damage."""
+        """Carried names of a body's variables, by the names in the body's energy; only its damage has two."""
         return {DAMAGE.name: self.damages[body].damage.name} if body in self.damages else {}
 
     def own(self, body: str, z: Values) -> dict[str, Any]:
-        """The values ``z``, and the values of a body's own variables under the names by which the body's
-        energy reads them."""
+        """The values ``z``, with the body's own variables also under the names that the body's energy
+        uses."""
         return {**z, **{name: z[carried] for name, carried in self.own_names(body).items()}}
 
     def shears(self, z: Values) -> dict[str, Any]:
-        """The energies n_i f_i(X_i/n_i), plus n_i phi_h(K_i/n_i) with hardening and the energy of cracks, by
-        the bodies' names, Pa."""
+        """The energies n_i f_i(X_i/n_i), Pa, by the bodies' names. n_i phi_h(K_i/n_i) is added if a body
+        hardens, and the energy of cracks if it breaks."""
         energies = self.elastic_shears(z)
         parameters = {v.name: z[v.name] for v in self.parameters}
         for body in self.bodies:

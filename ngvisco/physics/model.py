@@ -31,13 +31,13 @@ from ngvisco.words import Mention, Words, call
 
 @dataclass(frozen=True)
 class CreepMechanism:
-    """A flow rule with its own creep rate Pi: the material's, a branch's or a body's."""
+    """A flow rule with its own creep rate Pi: the rule of the material, of a branch or of a body."""
 
     rule: FlowRule
     names: tuple[str, ...]
     """Names of the variables whose rates contain this Pi."""
     conformation: str | None = None
-    """Name of the conformation tensor among them; None without one."""
+    """Name of the conformation tensor among the ``variables``; None without one."""
     branch: str | None = None
     """Name of the network's branch that flows; None without branches."""
     body: str | None = None
@@ -80,34 +80,35 @@ class Model:
     """The material, mechanisms and loads of a run.
 
     Raises ParameterError for a part of the wrong type, for a flow rule or a viscosity that creates energy
-    (``check_rule``, ``check_viscosity``), and for two loads or two bodies of one name.  Raises ParameterError
-    also if the energy of a body is not convex per reference volume (``ReferenceEnergy``), if the material's
-    variables do not fit each other, or if the material lacks a conformation tensor that the flow rule needs.
+    (``check_rule``, ``check_viscosity``), and for two loads or two bodies of one name.  Also refused are a
+    body whose energy is not convex per reference volume (``ReferenceEnergy``), variables that do not fit each
+    other, and a flow rule that needs a conformation tensor which the material lacks.
 
     Parameters
     ----------
     material : Material
-        Any modulus of its laws may be a function of the initial place or an expression of carried parameters
-        (``Parameter``), which are then among the variables of ``model.material``.  An isotropic material at
-        finite strain that leaves ``elastic_state`` open is by B = F F^T with creep or m = 0, else by F.
+        Any modulus of its laws may be a function of the initial place, or an expression of carried parameters
+        (``Parameter``). The parameters are then among the variables of ``model.material``.  An isotropic
+        material at finite strain that leaves ``elastic_state`` open is by B = F F^T with creep or m = 0, else
+        by F.
     viscosity : Viscosity, optional
         Any of ``StokesViscosity``, ``LinearViscosity``, ``PowerLaw``, ``Carreau``, ``Cross``,
         ``ActivatedViscosity``.
     hyperviscosity : HyperViscosity, optional
     creep : FlowRule, optional
-        None (default) is the Kelvin-Voigt rheology; a flow rule makes the deviatoric part Jeffreys'.
+        None (default) gives the Kelvin-Voigt rheology; with a flow rule the deviatoric part is Jeffreys'.
     loads : sequence of Gravity, CentralGravity or BodyForce
     regularisation : Regularisation, optional
         The paper's regularising terms; None (default) for none of them.
     heat : Heat, optional
-        Conduction and sources of heat in a material with a temperature (``Thermal``); None (default) is
-        adiabatic: dissipation heats the material, and nothing is conducted.
+        Conduction and sources of heat in a material with a temperature (``Thermal``). With None (default) the
+        material is adiabatic: dissipation heats the material, and nothing is conducted.
     diffusion : Diffusion, optional
         Diffusion of a concentration that the material carries, such as a solute.
     bodies : sequence of Body
-        Bodies in place of ``material``, ``viscosity`` and ``creep``: material and viscosity become those of
-        the bodies' mixture (``ngvisco.physics.mixture``), and each body has its own creep.  Isotropic
-        materials that leave ``elastic_state`` open are by B.
+        Bodies in place of ``material``, ``viscosity`` and ``creep``. The bodies' mixture gives material and
+        viscosity (``ngvisco.physics.mixture``), and each body has its own creep.  Isotropic materials that
+        leave ``elastic_state`` open are by B.
     """
 
     material: Material = None  # type: ignore[assignment]
@@ -179,7 +180,7 @@ class Model:
         return self._of(material)
 
     def with_bodies_apart(self, are_apart: bool) -> Self:
-        """The model whose bodies are, or are not, separated at the end of each step."""
+        """The model whose bodies are separated, or not, at the end of each step."""
         material = self.material
         if not isinstance(material, Mixture) or material.are_apart == are_apart:
             return self
@@ -276,7 +277,7 @@ class Model:
             return
         for name in ("material", "viscosity", "creep"):
             value = getattr(self, name)
-            # ``replace`` of a model with bodies passes the mixture's material and viscosity on
+            # a copy by ``replace`` gets the mixture's material and viscosity as arguments
             if not (value is None or isinstance(value, (Mixture, MixedViscosity))):
                 expected = f" with bodies, since each body has its own {name}"
                 raise ParameterError(f"Model.{name}", value, None, expected)
@@ -307,12 +308,12 @@ class Model:
 
 
 MOST_DENSER = 1e10
-"""Ratio of bodies' densities above which the lighter body's momentum in a cell with both bodies is below the
-solver's tolerance, 1e-10."""
+"""Largest ratio of bodies' densities. Above it, the lighter body's momentum in a cell with both bodies is
+below the solver's tolerance, 1e-10."""
 
 
 def _no_conformation(material: Material) -> str:
-    """Expectation in the message about a rule that reads a conformation tensor which the material lacks."""
+    """The expected material in the message about a rule that reads a conformation tensor."""
     name = type(material).__name__
     return f"a rule that reads no conformation tensor, since {name} has none; OldroydB and FENEP have one"
 
@@ -400,7 +401,8 @@ def _require_names_of_loads(loads: Sequence[Any]) -> None:
 
 
 def _require_names_and_one_rest(bodies: Sequence[Any]) -> None:
-    """Raise ParameterError for a body with the name of an earlier one, or a second one without a place."""
+    """Raise ParameterError for a body with the name of an earlier one, and for a second body without a
+    place."""
     rest = None
     for i, body in enumerate(bodies):
         if body.name in [earlier.name for earlier in bodies[:i]]:
@@ -414,9 +416,9 @@ def _require_names_and_one_rest(bodies: Sequence[Any]) -> None:
 def open_state(creep: FlowRule | None, material: Material, m: int) -> tuple[ElasticState, str]:
     """The default elastic state of a material with variables of order ``m``, and the reason for this state.
 
-    "B" with creep, of the material or of a branch, because F winds up by creep. "B" for m = 0, because with
-    constants in cells det F and J drift apart faster than with polynomials, and with F this drift frees rest
-    energy.
+    With creep of the material or of a branch, the state is "B", because F winds up by creep. For m = 0 it is
+    "B", because with constants in cells det F and J drift apart faster than with polynomials, and by F this
+    drift frees rest energy.
     """
     if _flows(creep, material):
         return "B", "there is creep"

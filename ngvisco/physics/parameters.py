@@ -5,13 +5,13 @@ strains, with a conjugate zeta = d phi/d theta.  Therefore the elastic force has
 phi/dx, the Cauchy stress is right and the ledger closes.  An energy that reads the place x instead has a
 force that nothing balances, and is refused (``ngvisco.physics.energy_checks``).
 
-A cell with a jump of the parameter has the mean of the carried number over both sides.  The mean of theta
+In a cell with a jump of the parameter, the carried number is a mean over both sides.  The mean of theta
 itself (arithmetic) is wrong by far for a modulus that jumps by orders of magnitude: a share of 1e-5 with the
 value 1e6 adds 10 to the value 1 of the rest.  ``Parameter.mean`` chooses the function of theta that is
-carried.  The law chooses the mean of a modulus that is a function of the place: a creep modulus G_m, of a
-dashpot in series with a spring, is carried by its fluidity 1/G_m; other moduli > 0 by their logarithm; moduli
-that may be 0 by their eighth root, with which a share of 1e-5 adds 4e-4; temperatures, densities and
-fluidities are carried themselves.
+carried.  If a modulus is a function of the place, the law chooses this function. A creep modulus G_m belongs
+to a dashpot in series with a spring, and is carried by its fluidity 1/G_m. Other moduli > 0 are carried by
+their logarithm. Moduli that may be 0 are carried by their eighth root, with which a share of 1e-5 adds 4e-4.
+Temperatures, densities and fluidities are carried themselves.
 
 A parameter is not a strain. phi need not be convex in parameters, and the ledger's ``bregman`` may have
 either sign where parameters are transported.  Quadratic regularisation, Yosida approximation and the
@@ -48,8 +48,8 @@ _SQUARINGS = 3
 """The number of squarings that undo the eighth root."""
 
 _LEAST = 1e-100
-"""Value that replaces the carried 1/theta where its polynomial, which overshoots beside a jump, is not
-positive."""
+"""Value that replaces the carried 1/theta where it is not positive, because its polynomial overshoots beside
+a jump."""
 
 
 class ParameterExpression(ABC):
@@ -132,7 +132,7 @@ class _Operation(ParameterExpression):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _Modulus(ParameterExpression):
-    """An expression in the place of a modulus, with the modulus' name and range."""
+    """An expression in the place of a modulus, with the name and range of the modulus."""
 
     name: str
     """Name of the law and of its parameter, e.g. ``"NeoHookean.G_e"``."""
@@ -181,10 +181,10 @@ class Parameter(Variable, ParameterExpression):
         A value at which energies are checked before a run is known; default ``start`` if this is a number,
         else 0.5, or 1 with the geometric or the harmonic mean.
     mean : str
-        Kind of the mean in a cell where the parameter jumps: of the parameter itself, ``"arithmetic"``; of
-        its logarithm, ``"geometric"``, neutral between layers in series and side by side; of its inverse,
-        ``"harmonic"``, for layers in series; or of its eighth root, ``"root"``, which is nearly the geometric
-        mean and admits 0.  The geometric and the harmonic mean need values > 0.
+        Quantity whose mean is taken in a cell where the parameter jumps. ``"arithmetic"``: the parameter
+        itself. ``"geometric"``: its logarithm, neutral between layers in series and side by side.
+        ``"harmonic"``: its inverse, for layers in series. ``"root"``: its eighth root, which gives nearly the
+        geometric mean and admits 0.  The geometric and the harmonic mean need values > 0.
     """
 
     name: str
@@ -246,7 +246,7 @@ class Parameter(Variable, ParameterExpression):
         return 0 * z[self.name]
 
     def from_distortion(self, F: Tensor) -> Tensor:
-        """The typical value, as no distortion determines a parameter."""
+        """The typical value, because no distortion determines a parameter."""
         return CF(float(self.carried(np.float64(self.typical))))
 
 
@@ -255,20 +255,20 @@ Modulus: TypeAlias = float | Tensor | ParameterExpression
 
 
 def value_at(modulus: Modulus, z: Values) -> Any:
-    """The value of a modulus at the parameters' values ``z``; a number is itself."""
+    """The value of a modulus at the parameters' values ``z``; a modulus that is a number has this value."""
     return modulus.at(z) if isinstance(modulus, ParameterExpression) else modulus
 
 
 def typical_value(modulus: Modulus) -> float:
-    """The number of a modulus, with the typical values of its parameters."""
+    """A modulus at the typical values of its parameters."""
     return modulus.typical if isinstance(modulus, ParameterExpression) else float(modulus)
 
 
 class Checked:
     """Base of dataclasses that raise ParameterError for a parameter of another type or out of its range.
 
-    Moduli may also be functions of the initial place and expressions, other parameters functions of the
-    actual place.
+    Moduli may also be expressions, or functions of the initial place. Other parameters may be functions of
+    the actual place.
     """
 
     def __post_init__(self) -> None:
@@ -349,10 +349,10 @@ def expressions_in(value: object) -> Iterator[ParameterExpression]:
 
 
 def substituted(law: T, value_of: Callable[[ParameterExpression], Any]) -> T:
-    """A law or a material with ``value_of(expression)`` in place of each expression, or the same object if it
-    has no expression.
+    """A law or a material with ``value_of(expression)`` in place of each expression. A law without
+    expressions is returned itself.
 
-    The law's checks do not run again, as values at points are no numbers.
+    The law's checks do not run again, because values at points are not numbers.
     """
 
     def within(part: Any) -> Any:
@@ -380,14 +380,14 @@ def substituted(law: T, value_of: Callable[[ParameterExpression], Any]) -> T:
 def renamed(law: T, prefix: str) -> T:
     """A law with ``prefix`` before the names of the parameters that were made of its moduli."""
 
-    # a renamed parameter is not marked as own, so that it does not get a second prefix
+    # a renamed parameter is not marked as the law's own, so that it does not get a second prefix
     return _with_own_names(law, lambda parameter: prefix + parameter.name, is_own=False)
 
 
 def told_apart(laws: Iterable[T], taken: Iterable[str] = ()) -> list[T]:
-    """The laws, with distinct names for the parameters made of their moduli, numbered if needed: A, A_2.
+    """The laws; parameters made of their moduli have distinct names, numbered if needed: A, A_2.
 
-    Parameters of one name and the same start value count as one; names in ``taken`` are not used.
+    Parameters of one name and the same start value count as one. Names in ``taken`` are not used.
     """
     by_name: dict[str, Parameter | None] = dict.fromkeys(taken)
 
@@ -403,7 +403,7 @@ def told_apart(laws: Iterable[T], taken: Iterable[str] = ()) -> list[T]:
 
 
 def _with_own_names(law: T, name_of: Callable[[Parameter], str], is_own: bool) -> T:
-    """The law, with names by ``name_of`` for its own parameters. ``is_own``: they stay the law's own."""
+    """The law, with names by ``name_of`` for its own parameters. If ``is_own``, they stay the law's own."""
 
     def named(expression: ParameterExpression) -> ParameterExpression:
         if not (isinstance(expression, _Modulus) and expression.is_own):
@@ -417,8 +417,8 @@ def _with_own_names(law: T, name_of: Callable[[Parameter], str], is_own: bool) -
 
 
 def moduli_in(value: object) -> Iterator[tuple[str, ParameterExpression, bool]]:
-    """Yield, for each modulus with an expression, the name, the expression, and whether the value must be > 0
-    (else >= 0)."""
+    """Yield the name, the expression, and whether the value must be > 0 (else >= 0), for each modulus with an
+    expression."""
     for expression in expressions_in(value):
         if isinstance(expression, _Modulus):
             yield expression.name, expression.expression, expression.is_positive

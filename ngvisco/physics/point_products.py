@@ -42,7 +42,7 @@ def applied(matrix: np.ndarray, value: np.ndarray, shape: tuple[int, ...]) -> np
 
 
 def _applied(matrix: np.ndarray, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    # matrices that embed and select have few nonzero entries, and are real even if values are complex
+    # matrices that embed or select have few nonzero entries; they are real even if values are complex
     entries = value.reshape(matrix.shape[1], -1)
     result = np.zeros((matrix.shape[0], entries.shape[1]), value.dtype)
     for i, j, factor in _entries(np.asarray(matrix, dtype=float).tobytes(), matrix.shape[1]):

@@ -27,8 +27,7 @@ Both: TypeAlias = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 """Function of components, (N, points): the energies, (points,), and their slopes, (N, points)."""
 
 _DIFFERENCE = 1e-4
-"""A Hessian is wrong if it differs from central differences of the slope by more than this relative
-number."""
+"""Largest accepted relative difference between a Hessian and central differences of the slope."""
 
 
 def sampled_energies(material: Material, dim: int) -> str:
@@ -75,9 +74,9 @@ def evaluated(function: Callable[[Tensor], Tensor], vectors: np.ndarray) -> np.n
 def respond(material: Material, dim: int) -> Respond:
     """The response of a material: its own if it has one, else by arrays or by its energy's expression.
 
-    Arrays are used if they reproduce the expression's energy and slope; complex increments of the slope then
-    give the Hessian.  Raises ParameterError if arrays cannot evaluate the energy and NGSolve's second
-    derivative of it is wrong.
+    Arrays are used if they reproduce the expression's energy and slope. Complex increments of the slope then
+    give the Hessian.  Raises ParameterError if arrays cannot evaluate the energy, and if then NGSolve's
+    second derivative of it is wrong.
     """
     if (response := material.response(dim)) is not None:
         return response
@@ -115,8 +114,8 @@ class ArrayResponse:
         return where_energy_is(*self.both(z))
 
     def slope_of_part(self, z: np.ndarray) -> np.ndarray:
-        """The slope of ``Material.curved_part`` by the components ``read``, for their values z, both (read,
-        points), real or complex."""
+        """The slope of ``Material.curved_part`` by its components (the numbers ``read``), at their values z,
+        both (read, points), real or complex."""
         return where_energy_is(*self._of_part(z))
 
     def __call__(self, states: np.ndarray) -> Response:
@@ -131,7 +130,7 @@ class ArrayResponse:
             columns = self._of_part(along.reshape(len(read), -1))[1].imag.reshape(along.shape).T / TINY
             for m, column in zip(curved, columns.swapaxes(0, 1), strict=True):
                 hessian[some, m, read] = hessian[some, read, m] = column
-        # a logarithm's derivative is finite beyond its pole: NaN marks a state without energy
+        # the derivative of a logarithm is finite beyond its pole; NaN marks a state without energy
         hessian[~np.isfinite(energy)] = np.nan
         return Response(energy, np.ascontiguousarray(slope.T), hessian)
 
@@ -227,20 +226,20 @@ class ExpressionResponse:
 
 @cache
 def squares(cells: int) -> tuple[Any, Any]:
-    """A mesh of ``cells`` x ``cells`` squares, whose cellwise constants hold states, and the cells'
-    midpoints."""
+    """A mesh of ``cells`` x ``cells`` squares, and the midpoints of its cells. Cellwise constants on the mesh
+    hold states."""
     mesh = MakeStructured2DMesh(quads=True, nx=cells, ny=cells)
     return mesh, mesh.MapToAllElements({ET.QUAD: IntegrationRule([(0.5, 0.5)], [1.0])}, VOL)
 
 
 CHUNK = 2048
-"""Number of points at a time, so that intermediate arrays stay in the processor's cache."""
+"""Number of points that are evaluated together, so that intermediate arrays stay in the processor's cache."""
 
 
 def where_energy_is(energy: np.ndarray, slope: np.ndarray) -> np.ndarray:
     """The slope, (n, points), set to NaN where the energy, (points,), is not finite.
 
-    A logarithm's derivative is finite beyond its pole: NaN marks an iterate that has passed the pole.
+    The derivative of a logarithm is finite beyond its pole. NaN marks an iterate that has passed the pole.
     """
     return np.where(np.isfinite(energy), slope, np.nan)
 
@@ -276,7 +275,7 @@ def energy_and_slope(material: Material, dim: int) -> Both | None:
 
 
 def slope_at(response: Respond, z: np.ndarray) -> np.ndarray:
-    """phi'(z), both (N, points), without the Hessian where it is not needed."""
+    """phi'(z), both (N, points); the Hessian is computed only if the response needs it."""
     if isinstance(response, (ArrayResponse, ExpressionResponse)):
         return response.slope(z)
     return np.ascontiguousarray(response(z.T).slope.T)

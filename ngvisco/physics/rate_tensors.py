@@ -38,21 +38,21 @@ _ROUNDING = 1e-10
 
 @dataclass(frozen=True)
 class Openings:
-    """The motion at interfaces, linear in L, of which variables take a part only (``Material.parted``)."""
+    """A motion at interfaces, linear in L, that strains the bodies in part only (``Material.parted``)."""
 
     matrix: np.ndarray
-    """From the entries of L to the velocity gradient of this motion, (dim^2, entries of L, points)."""
+    """Map from the entries of L to the velocity gradient of this motion, (dim^2, entries of L, points)."""
     shares: np.ndarray
     """Share of this motion that does not strain each component, (n, points)."""
 
     def motion(self, X: np.ndarray) -> np.ndarray:
-        """This motion alone, (X, points), from a motion X."""
+        """The part of a motion X that is this motion at interfaces, (X, points)."""
         motion = np.zeros_like(X)
         motion[: len(self.matrix)] = np.einsum("xyp,yp->xp", self.matrix, X[: self.matrix.shape[1]])
         return motion
 
     def stress(self, stress: np.ndarray) -> np.ndarray:
-        """Derivatives by X, (X, ..., points), of a function whose slope by this motion is ``stress``."""
+        """Derivatives by X, (X, ..., points), of a function; ``stress`` is its slope by this motion."""
         by_X = np.zeros_like(stress)
         by_X[: self.matrix.shape[1]] = np.einsum("x...p,xyp->y...p", stress[: len(self.matrix)], self.matrix)
         return by_X
@@ -65,22 +65,21 @@ class RateTensors:
     constant: np.ndarray
     linear: np.ndarray
     gradients: int
-    """Number of entries of L among the X; the others are components of Pi."""
+    """Number of the X that are entries of L; the others are components of Pi."""
     dim: int
     nonlinear_variables: tuple[str, ...] = ()
-    """Names of variables whose rates are not affine in z, to which the tensors do not apply."""
+    """Names of variables whose rates are not affine in z; the tensors do not describe these rates."""
 
     @staticmethod
     @cache
     def of(
         variables: tuple[Variable, ...], dim: int, has_trace: bool = False, hoop: bool = False
     ) -> RateTensors:
-        """The tensors C and T of the rates of ``variables``, from values of the rates at z = 0 and at unit
-        vectors z. ``has_trace`` says whether Pi may have a trace, ``hoop`` whether L_33 may be nonzero in two
-        dimensions.
+        """The tensors C and T of the rates of ``variables``, from the rates at z = 0 and at unit vectors z.
 
-        Raises ParameterError, with the variable's name, for a rate that is not linear in L and Pi, to which
-        no stress belongs.
+        ``has_trace`` says whether Pi may have a trace; ``hoop`` says whether L_33 may be nonzero in two
+        dimensions. Raises ParameterError, with the variable's name, for a rate that is not linear in L and
+        Pi, because such a rate has no stress.
         """
         states, space = StateSpace.of(variables, dim), (trace_free_tensors, symmetric_tensors)[has_trace](dim)
         n, plane = states.size, dim * dim
@@ -135,7 +134,7 @@ class RateTensors:
         return (*range(0, self.dim**2, self.dim + 1), *range(self.dim**2, self.gradients))
 
     def turning(self) -> RateTensors:
-        """The part of the rates by the antisymmetric part of L."""
+        """The part of the rates that the antisymmetric part of L causes."""
         dim = self.dim
         g = dim * dim
         constant, linear = np.zeros_like(self.constant), np.zeros_like(self.linear)
@@ -153,7 +152,7 @@ class RateTensors:
         return self._scattered(2, with_one, self.constant.T.shape)
 
     def rate(self, z: np.ndarray, X: np.ndarray, first: int = 0) -> np.ndarray:
-        """rate(z; X), (n, points), for X (X, points), whose first entry has the index ``first``."""
+        """The rate rate(z; X), (n, points), for X (X, points); ``first`` is the index of its first entry."""
         return called(self._rate, z, X, first)
 
     def _rate(self, z: np.ndarray, X: np.ndarray, first: int) -> np.ndarray:
@@ -166,14 +165,14 @@ class RateTensors:
         return called(self._stress, z, zeta, first, stop)
 
     def rate_beside(self, openings: Openings | None, z: np.ndarray, X: np.ndarray, first: int) -> np.ndarray:
-        """``rate`` without the shares of the openings, for all X."""
+        """The rate as by ``rate``, without the shares of the openings, for all X."""
         rate = self.rate(z, X, first)
         return rate if openings is None else rate - openings.shares * self.rate(z, openings.motion(X))
 
     def stress_beside(
         self, openings: Openings | None, z: np.ndarray, zeta: np.ndarray, first: int, stop: int
     ) -> np.ndarray:
-        """``stress`` without the shares of the openings, for all X."""
+        """The stress as by ``stress``, without the shares of the openings, for all X."""
         stress = self.stress(z, zeta, first, stop)
         if openings is None:
             return stress
@@ -191,7 +190,7 @@ class RateTensors:
         stop: int,
         places: Callable[[int, int], tuple[np.ndarray, np.ndarray]],
     ) -> None:
-        """For all x and n, add (C_xn + sum_m T_xnm z_m) times a factor to a target; ``places(x, n)`` returns
+        """Add (C_xn + sum_m T_xnm z_m) times a factor to a target, for all x and n; ``places(x, n)`` returns
         target and factor."""
         of_constant, of_linear = self._entries_within(first, stop)
         for (x, n), C in of_constant:

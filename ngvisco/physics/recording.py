@@ -2,16 +2,16 @@
 
 A function is called once with ``Recorded`` arrays, which note each operation of NumPy on them.  A program
 repeats these operations without the function's own code, which takes longer than the arithmetic if arrays
-are small.  Operations on constants alone are not noted, since their results are stored; equal operations are
-noted once, and operations that no result needs are left out.  The results are the same to the bit.
+are small.  Operations on constants alone are not noted, because their results are stored. Equal operations
+are noted once, and operations that no result needs are left out.  The results are the same to the bit.
 
-Arrays that the function uses, and that are neither arguments nor read by ``datum``, are constants of the
-program. After each ``begin`` a program reads such data again, and carries out once the operations that
-depend on data alone.
+Arrays that the function uses are constants of the program, unless they are arguments or read by ``datum``.
+After each ``begin`` a program reads the data of ``datum`` again, and repeats once the operations that depend
+on these data alone.
 
-What a function does must not depend on values: a decision by a value, and code other than NumPy's, raises
-TypeError.  Such code has to be ``called``, if it is a function of arrays that leaves its
-arguments as they are.
+The operations must not depend on values: a decision by a value raises TypeError, and so does code other than
+NumPy's.  Such code may be called by ``called``, if it is a function of arrays that does not change its
+arguments.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Arrays = Mapping[Any, np.ndarray]
 
 
 def called(function: Callable[..., Any], *arguments: Any) -> Any:
-    """``function`` of the arguments; if one of these is recorded, the call is noted as one operation.
+    """``function`` of the arguments; if an argument is recorded, the call is noted as one operation.
 
     The function must not change its arguments.
     """
@@ -93,7 +93,7 @@ class Program:
     ) -> tuple[Self, Arrays]:
         """Record ``function`` at ``arguments``; return the program and the results.
 
-        Raises TypeError, or what the function raises for arrays of another class.
+        Raises TypeError, or the error that the function raises for arrays of an unknown class.
         """
         program = cls(keeps)
         program._places = {name: program._put(value) for name, value in arguments.items()}
@@ -116,7 +116,7 @@ class Program:
         return len(self._values) - 1
 
     def value(self, place: int) -> Any:
-        """The value at a place, while the program is recorded."""
+        """The value at a place; for use while the program is recorded."""
         return self._values[place]
 
     def note(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Recorded:
@@ -132,7 +132,7 @@ class Program:
         return self._known[key]
 
     def datum(self, read: Callable[[], np.ndarray], key: Hashable) -> Recorded:
-        """See the function of this name."""
+        """The array of a datum, see the function ``datum`` of this module."""
         if key not in self._data:
             self._data[key] = self._put(read()), read
         return Recorded(self, self._data[key][0])
@@ -142,8 +142,8 @@ class Program:
         self._has_begun = False
 
     def _finish(self) -> None:
-        """Leave out the steps that no result needs, and divide the others into those on data alone and those
-        that depend on arguments."""
+        """Leave out the steps that no result needs. Divide the others into steps that depend on data alone,
+        and steps that depend on arguments."""
         results = set(self._results.values())
         needed, steps = set(results), list[Operation]()
         for step in reversed(self._steps):
@@ -202,7 +202,7 @@ _RECORDING: ContextVar[Program | None] = ContextVar("_RECORDING", default=None)
 
 
 def _key(argument: Any) -> Any:
-    """Return a key that only equal arguments share; the program keeps an argument alive for its key."""
+    """A key that only equal arguments share. The program keeps the argument alive while its key is in use."""
     if isinstance(argument, Recorded):
         return Recorded, argument.place
     if isinstance(argument, (tuple, list)):
@@ -226,7 +226,7 @@ def _with(function: Callable[..., Any], named: tuple[tuple[str, Any], ...]) -> C
 
 @lru_cache(maxsize=1024)
 def _of_list(function: Callable[..., Any], count: int, rest: tuple[Any, ...]) -> Callable[..., Any]:
-    """A function of ``count`` arrays in place of a function of their list."""
+    """A function whose first arguments are ``count`` arrays, in place of a function of their list."""
     return lambda *arrays: function(arrays[:count], *rest)
 
 
@@ -244,7 +244,7 @@ class Recorded(np.lib.mixins.NDArrayOperatorsMixin):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """The array's shape; programs are for arguments of equal shapes."""
+        """The array's shape; a program is for arguments of the same shapes."""
         return self._array.shape
 
     @property

@@ -5,9 +5,10 @@ energy are materials: ``WithQuadratic`` and ``Yosida`` wrap any material, also o
 ``J_min`` continues the singular part of an energy linearly.
 
 The diffusion of the fields needs phi''(z) at rest, and the directions in which phi'' vanishes.  Some energies
-are linear in some variables (energies with -epsilon ln J in K = ln J / J, many in B = F F^T); the conjugates
-of these variables are constant.  In all other variables phi'' has to be positive definite; ``WithQuadratic``
-makes it so for every convex energy.  phi'' is the second derivative by the strains, not by parameters.
+are linear in some variables: energies with -epsilon ln J in K = ln J / J, and many energies in B = F F^T. The
+conjugates of these variables are constant.  In all other variables phi'' has to be positive definite;
+``WithQuadratic`` makes it so for every convex energy.  phi'' is the second derivative by the strains, not by
+parameters.
 """
 
 import math
@@ -46,9 +47,8 @@ class Regularisation(Checked):
     p : float
         Exponent of the friction; the paper takes the exponent of the hyperviscosity.
     rho_max : float, optional
-        Density above which the paper's cut-off acts; default no cut-off.  A density that starts at or below
-        rho_max + width stays at or below rho_max + width, with m = 0 by the scheme, with m > 0 by the
-        limiter.
+        Density above which the paper's cut-off acts; by default there is no cut-off.  A density that starts
+        at or below rho_max + width stays there: for m = 0 by the scheme, for m > 0 by the limiter.
     width : float
         Width of density over which the cut-off falls from 1 to 0; the paper has 1.
     penalty : float
@@ -148,7 +148,8 @@ class Curvature:
     """The part of phi'' that does not depend on the state."""
 
     linear: np.ndarray
-    """Orthogonal projection, (N, N), to the directions n of strains with phi''(z) n = 0 for all z."""
+    """Orthogonal projection, (N, N), to the directions n in the space of strains with phi''(z) n = 0 for all
+    z."""
     strains: np.ndarray
     """Mask of the components of strains, (N,)."""
     compliance: np.ndarray
@@ -174,7 +175,7 @@ def curvature_of(material: Material, dim: int) -> Curvature:
     hessians = hessians[np.isfinite(hessians).all(axis=(1, 2))]
     sizes = np.abs(hessians).max(axis=(1, 2), keepdims=True)
     scaled = hessians / np.where(sizes > 0, sizes, 1.0)
-    # if all matrices are positive semidefinite, the kernel of their mean is their common kernel; for other
+    # the kernel of the mean is the common kernel if all matrices are positive semidefinite; for other
     # matrices, the next lines check that the kernel is common
     values, vectors = np.linalg.eigh(scaled.mean(axis=0))
     kernel = vectors[:, np.abs(values) <= _ZERO]

@@ -27,5 +27,5 @@ class Response:
 Respond: TypeAlias = Callable[..., Response]
 """Function of states, (n, N), that gives their response.
 
-For a material with lagged variables (``Material.lagged``) its second argument are the states with the values
-of these variables at the step's start, (n, N), which the slopes by all other variables read."""
+For a material with lagged variables (``Material.lagged``) it has a second argument, (n, N): the states with
+the lagged variables' values at the step's start. The slopes by all other variables read these states."""

@@ -1,7 +1,8 @@
 """Dissipative mechanisms of the velocity: viscosities and hyperviscosity.
 
-A viscosity is a stress D(eps; z), the derivative by eps of a convex potential (paper: dissipation-pot).  An
-isotropic viscosity has G_v(s) of the squared shear rate s = 2 |dev eps|^2, with G_v(s) sqrt(s) rising.
+A viscosity is a stress D(eps; z), the derivative of a convex potential by eps (paper: dissipation-pot).  An
+isotropic viscosity has a shear viscosity G_v(s), where s = 2 |dev eps|^2 is the squared shear rate, and
+G_v(s) sqrt(s) rises with s.
 """
 
 from abc import ABC, abstractmethod
@@ -56,8 +57,9 @@ class Viscosity(Checked, ABC):
         return inner(self.stress(eps, z), sph(eps))
 
     def shear_dissipation(self, eps: Tensor, z: Values) -> Tensor:
-        """The power in shear, D(eps) : dev eps, W/m^3; the sum with ``bulk_dissipation`` is D(eps) : eps >=
-        0."""
+        """The power in shear, D(eps) : dev eps, W/m^3.
+
+        The sum with ``bulk_dissipation`` is D(eps) : eps >= 0."""
         return inner(self.stress(eps, z), dev(eps))
 
     @abstractmethod
@@ -65,7 +67,7 @@ class Viscosity(Checked, ABC):
         """The shear viscosity G_v, Pa s, at eps = 0 and a point with the values ``z``."""
 
     def require_dimension(self, dim: int) -> None:
-        """Raise ParameterError if the stress of a plane flow in ``dim`` = 2 is not one of plane strain."""
+        """Raise ParameterError if ``dim`` is 2 and the stress of a plane flow is not one of plane strain."""
         return None
 
 
@@ -229,8 +231,9 @@ class LinearViscosity(Viscosity):
 
     Preferred directions of D are fixed in space and do not turn with the matter.  Where D couples sph eps
     with dev eps, both parts of the ledger's viscous dissipation can have either sign; their sum is D eps :
-    eps >= 0.  Raises ParameterError for a D of another shape, with entries that are not finite, or not
-    symmetric or not positive semidefinite, with the entries or the strain rate that show it.
+    eps >= 0.  Raises ParameterError for a D of another shape, with entries that are not finite, or
+    that is not symmetric and positive semidefinite. The message has the entries or the strain rate that show
+    it.
 
     Example::
 
@@ -272,8 +275,8 @@ class LinearViscosity(Viscosity):
 
     @cached_property
     def mandel(self) -> np.ndarray:
-        """D in Mandel's notation, (6, 6), Pa s; the basis is orthonormal, so that this matrix has D's
-        eigenvalues."""
+        """D in Mandel's notation, (6, 6), Pa s. The basis is orthonormal, so that this matrix has the
+        eigenvalues of D."""
         shape = (3, 3, 3, 3) if self.notation == "tensor" else (6, 6)
         expected = f"{'x'.join(map(str, shape))} finite numbers in the notation {self.notation!r}"
         if (array := as_array(self.D)).shape != shape:

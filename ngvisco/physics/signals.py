@@ -1,8 +1,8 @@
 """Functions of the run's time for loads and walls: steps, pulses, tables.
 
 The means of these functions over a step are exact, because the rule in time (``ngvisco.forms.time_means``)
-knows the functions' breaks.  In any other function the rule looks for an ``IfPos`` whose argument changes
-sign within the step.
+knows where these functions break.  In any other function the rule looks for an ``IfPos`` whose argument
+changes sign within the step.
 """
 
 import csv
@@ -27,7 +27,7 @@ _TIME = re.compile(r"(t|tau|time|τ)(?![a-z])", re.IGNORECASE)
 """Pattern of the beginning of a name of a column of times."""
 _UNIT, _LETTERS = re.compile(r"[\[(]([^\])]+)[\])]"), re.compile(r"[^\W\d_]+|%")
 _SI = frozenset(["s", "m", "kg", "Pa", "K", "N", "W", "J", "rad"])
-"""Units that a name of a column may have; plain numbers are in products and powers of these units."""
+"""Units that the name of a column may have. Plain numbers are in products and powers of these units."""
 
 
 def reads_time(function: CoefficientFunction) -> bool:
@@ -45,13 +45,13 @@ def reads_time(function: CoefficientFunction) -> bool:
 
 
 def sampled(function: CoefficientFunction) -> list[float]:
-    """The values at places in cells of two sizes; [inf, nan] for a function that cannot be evaluated."""
+    """The values at places in cells of two sizes; [inf, nan] if the function cannot be evaluated."""
     values = []
     for cells in (1, 3):
         mesh = MakeStructured2DMesh(quads=False, nx=cells, ny=cells)
         try:
             values += [function(mesh(place, 0.5 * place)) for place in _PLACES]
-        except Exception:  # NGSolve's errors for functions that no mesh can evaluate
+        except Exception:  # NGSolve raises various errors for functions that no mesh can evaluate
             return [np.inf, np.nan]
     return values
 
@@ -126,9 +126,9 @@ def read_table(path: str | PathLike[str]) -> np.ndarray:
 
 
 def breaking(function: CoefficientFunction) -> tuple[list[CoefficientFunction], list[np.ndarray]]:
-    """Discontinuities of a function of time: arguments of its ``IfPos``, and times of tables, s.
+    """Places where a function of time may break: the arguments of its ``IfPos``, and times of tables, s.
 
-    The times are those of all tables of this process, because additional breaks do no harm to a rule.
+    The times are those of all tables of this process, because additional breaks do no harm to the rule.
     """
     return list(_choices(function)), list(_knots.values()) if "bspline" in str(function) else []
 
@@ -176,11 +176,11 @@ def _rows_from(times: Sequence[float], values: Sequence[float] | Sequence[Sequen
 
 
 def number_rows(field: str, source: str | PathLike[str], timed: int = 0) -> np.ndarray:
-    """The rows of numbers in a CSV file, (rows, columns), without comments after # and a line of names.
+    """The rows of numbers in a CSV file, (rows, columns). Comments after # and a line of names are left out.
 
     Semicolons separate the numbers if the file has any, else commas.  No name begins like a number.  Raises
-    ParameterError for the parameter ``field``, also if the names contradict that the column ``timed``,
-    counted from 0, has times.  Units in names are not read; a unit other than an SI unit brings a warning.
+    ParameterError for the parameter ``field``, also if the names contradict that the column ``timed``
+    (counted from 0) has times.  Units in names are not read; a unit other than an SI unit causes a warning.
     """
     path = fspath(require_file(field, source))
     try:

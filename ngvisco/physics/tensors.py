@@ -44,7 +44,7 @@ def sph(A: Tensor) -> Tensor:
 
 
 def identity_like(A: Tensor) -> Tensor | np.ndarray:
-    """The 3x3 identity, to be combined with A."""
+    """The 3x3 identity: an array if A is an array, else a coefficient function."""
     return np.eye(3) if hasattr(A, "trace") else IDENTITY
 
 
@@ -60,8 +60,8 @@ def shear_across(A: Tensor, P: Tensor) -> Tensor:
 
 
 def opening(D: Tensor, P: Tensor) -> Tensor:
-    """(tr D) P plus D's shear across n, 3x3: opening and sliding of an interface of normal n, P = n x n, at
-    the rate D.  The rest of D stretches matter along the interface and keeps its volume."""
+    """(tr D) P plus the shear of D across n, 3x3, P = n x n: opening and sliding of an interface of normal n
+    at the strain rate D.  The rest of D stretches matter along the interface and keeps its volume."""
     return tr(D) * P + shear_across(D, P)
 
 
@@ -131,7 +131,7 @@ def constant(array: np.ndarray) -> Tensor:
 
 @lru_cache(maxsize=1024)
 def _constant(numbers: bytes, shape: tuple[int, ...]) -> Tensor:
-    """Make ``constant``, with each distinct number once: NGSolve takes 0.1 ms to convert a number."""
+    """The function of ``constant``. Each distinct number is made once, as a conversion takes 0.1 ms."""
     values, which = np.unique(np.frombuffer(numbers), return_inverse=True)
     functions = [CF(float(value)) for value in values]
     return CF(tuple(functions[i] for i in which.ravel()), dims=shape)
@@ -159,8 +159,8 @@ def masked(A: Tensor, mask: np.ndarray) -> Tensor:
 def log_det(A: Tensor) -> Tensor:
     """ln det A of a symmetric positive definite 3x3 tensor; NaN for any other tensor.
 
-    The result is the sum of the pivots' logarithms, because det A alone is also positive for two negative
-    eigenvalues.
+    The result is the sum of the pivots' logarithms. det A alone would not do, because it is also positive for
+    two negative eigenvalues.
     """
     a, b, c = (A[i, i] for i in range(3))
     d, e, f = (A[i, j] for i, j in ((0, 1), (0, 2), (1, 2)))
@@ -180,8 +180,8 @@ def is_number(a: Tensor, then: Tensor | float, otherwise: Tensor | float) -> Ten
 
 
 def embed_gradient(grad: Tensor, dim: int, hoop: Tensor | None = None) -> Tensor:
-    """The 3x3 velocity gradient, (grad v)_ij = d_j v_i, from the dim x dim gradient; in 2D ``hoop`` is its
-    entry 33, zero in plane strain."""
+    """The 3x3 velocity gradient, (grad v)_ij = d_j v_i, from the dim x dim gradient. In 2D ``hoop`` is its
+    entry 33; None gives zero, for plane strain."""
     if dim == 3:
         return grad
     if hasattr(grad, "mapped"):
@@ -278,7 +278,7 @@ def _pairs(dim: int) -> list[tuple[int, int]]:
 
 
 def full_tensors(dim: int) -> TensorSpace:
-    """The space of all 3x3 tensors (9 components); in plane strain of block tensors (5 components)."""
+    """The space of all 3x3 tensors (9 components), or of block tensors in plane strain (5 components)."""
     return _space("full", [_unit(*pair) for pair in _pairs(dim)])
 
 
@@ -311,15 +311,15 @@ def tensor_space(kind: str, dim: int) -> TensorSpace:
 
 
 _SPREAD = 1e-6
-"""Error of a closed form for eigenvalues, relative to the tensors' size: fifty times the error near a double
-eigenvalue."""
+"""Error of the closed form for eigenvalues, relative to the tensors' size. The value is fifty times the error
+near a double eigenvalue."""
 
 
 def least_eigenvalues(tensors: np.ndarray) -> np.ndarray:
-    """Least eigenvalues of symmetric tensors, (n, 3, 3), or of a part that has the least eigenvalue of all.
+    """Least eigenvalues of symmetric tensors, (n, 3, 3); the least of the returned numbers is always right.
 
-    A closed form finds the tensors that may have the least eigenvalue of all, because decompositions take
-    twenty times as long.  The result has NaN if a tensor has NaN.
+    Tensors that cannot have the least eigenvalue of all are left out, as a closed form shows: decompositions
+    take twenty times as long.  The result has NaN if a tensor has NaN.
     """
     (a, b, c), (_, d, e), (_, _, f) = np.ascontiguousarray(tensors.transpose(1, 2, 0))
     mean = (a + d + f) / 3

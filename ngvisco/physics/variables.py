@@ -42,14 +42,14 @@ Values = Mapping[str, Tensor]
 CreepFrame: TypeAlias = Literal["relaxed", "actual"]
 
 PRESSURE, TEMPERATURE, HARDENING, CONFORMATION = "pressure", "temperature", "hardening", "conformation"
-"""Names, in ``Values`` for laws, of the pressure -tr T/3, Pa, the temperature, K, the growth of the yield
-stress by hardening, Pa, and the conformation tensor of the flow."""
+"""Names of values that laws may read, in ``Values``: the pressure -tr T/3, Pa; the temperature, K; the growth
+of the yield stress by hardening, Pa; and the conformation tensor of the flow."""
 
 INTERFACE = "interface"
-"""Name, in ``Values`` for the viscosity of several bodies, of n x n, 3x3, with the normal n of their
-interface at a step's start; zero away from interfaces."""
+"""Name, in ``Values`` for the viscosity of several bodies, of n x n, 3x3. n is the normal of the bodies'
+interface at a step's start; n x n is zero away from interfaces."""
 PARTED = "parted"
-"""Name, in ``Values`` for rates, of the shares ``Material.parted`` at a step's start."""
+"""Name, in ``Values`` for rates, of the shares from ``Material.parted`` at a step's start."""
 STEP = "step"
 """Name, in ``Values`` for laws of several bodies, of one over the step's length, 1/s."""
 
@@ -64,13 +64,14 @@ class Variable(ABC):
     """``"scalar"``, ``"symmetric"`` or ``"full"`` (3x3), or ``"vector"``, the first column of a tensor."""
 
     is_strain = True
-    """Whether the energy has to be convex in the variable, jointly with all strains; False for parameters."""
+    """Whether the energy has to be convex in the variable, jointly with all strains. False for parameters."""
     is_conserved = False
     """Whether rate(z; L, Pi) = -(tr L) z, without a production, so that int z is conserved."""
     density = 0.0
     """Mass density per unit of the variable, kg/m^3; 0 for a variable that is no amount of matter."""
     own_scale: ClassVar[float | None] = None
-    """Size with which the variable's increments are compared; None for the sizes of all variables."""
+    """Size to which the variable's increments are compared; None if they count with those of all
+    variables."""
 
     def __post_init__(self) -> None:
         if not (isinstance(self.name, str) and self.name.isidentifier()):
@@ -116,9 +117,10 @@ class Variable(ABC):
 
     @property
     def frame(self) -> CreepFrame | None:
-        """The frame of the rate's Pi, for F the relaxed configuration; None if the variable does not creep.
+        """The frame of the rate's Pi; None if the variable does not creep.
 
-        The Pi of E and of F F^T is in the actual frame: it is Q Pi Q^T with the polar factor Q of F.
+        The Pi of F is in the relaxed configuration. The Pi of E and of F F^T is in the actual frame: it is Q
+        Pi Q^T with the polar factor Q of F.
         """
         return "actual" if self.creeps else None
 
@@ -127,7 +129,8 @@ class Variable(ABC):
         return Q * value * Q.trans if self.creeps else value
 
     def volume_ratio(self, value: Tensor) -> tuple[Tensor, float] | None:
-        """The pair (d, n) with d = J^n, J the determinant of the distortion; None for other variables."""
+        """The pair (d, n) with d = J^n, where J is the determinant of the distortion; None for variables that
+        do not determine J."""
         return None
 
 
@@ -160,7 +163,7 @@ class DistortionTensor(Variable):
     exponent: float = 0.0
 
     degree = 1
-    """Exponent of the power of J that is the determinant of the tensor without J^exponent."""
+    """Exponent n for which J^n is the determinant of ``tensor``, that is without the factor J^exponent."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -214,7 +217,7 @@ class Distortion(DistortionTensor):
 
 @dataclass(frozen=True)
 class Cofactor(DistortionTensor):
-    """J^exponent Cof F (paper: H-flow-rule; exponent -7/6 for exa-Mooney–Rivlin-ref, see above)."""
+    """J^exponent Cof F (paper: H-flow-rule; exa-Mooney–Rivlin-ref has the exponent -7/6, see the module)."""
 
     name: str = "H"
     kind: str = "full"
@@ -238,9 +241,10 @@ class LeftCauchyGreen(DistortionTensor):
 
         dB/dt = L B + B L^T + a (tr L) B - 2 J^a F Pi_R F^T,   a = exponent.
 
-    If the energy is isotropic, Pi_R is coaxial with F^T F, as M = G_m Pi_R is.  With the polar decomposition
-    F = V Q, Pi = Q Pi_R Q^T is then coaxial with V, and F Pi_R F^T = V Pi V = Pi V^2.  The creep term is -Pi
-    B - B Pi, where Pi is symmetric and trace-free with |Pi| = |Pi_R|, and G_m Pi = dev 2 sym(zeta B).
+    If the energy is isotropic, Pi_R is coaxial with F^T F, because M = G_m Pi_R is.  With the polar
+    decomposition F = V Q, Pi = Q Pi_R Q^T is then coaxial with V, and F Pi_R F^T = V Pi V = Pi V^2.  The
+    creep term is -Pi B - B Pi, where Pi is symmetric and trace-free with |Pi| = |Pi_R|, and G_m Pi = dev 2
+    sym(zeta B).
 
     B is positive definite and det B = J^(3a + 2); |J^(a/2) F|^2 = tr B.
     """

@@ -1,5 +1,5 @@
-"""Conditions on walls.  A wall is impenetrable, v.n = 0, and has a condition for the tangential part of v;
-matter crosses only walls of the class ``Passage``.
+"""Conditions on walls.  A wall is impenetrable, v.n = 0, and has a condition for the tangential part of v.
+Matter crosses only walls of the class ``Passage``.
 
 The tangential part of a vector is a_t = a - (a.n) n.  Names of walls are the mesh's boundary names.
 """
@@ -27,7 +27,7 @@ class Wall(Checked):
     """
 
     straight = False
-    """Whether the facets of the wall are meant to be straight, see ``Slip``."""
+    """Whether the wall is meant to have straight facets, see ``Slip``."""
     moves: ClassVar[bool] = False
     """Whether the wall has a ``velocity`` that v, or its normal part, is equal to."""
     is_held: ClassVar[bool] = False
@@ -68,8 +68,8 @@ class PrescribedTangential(Wall):
     Parameters
     ----------
     velocity : vector of the mesh's dimension
-        Velocity V of the wall, a function of x and of the run's time; each step takes its mean.  V.n must
-        vanish up to the geometry's approximation, as matter does not cross the wall.
+        Velocity V of the wall, a function of x and of the run's time; each step takes its mean.  Matter does
+        not cross the wall, so that V.n must vanish up to the geometry's approximation.
     """
 
     moves = is_held = True
@@ -120,9 +120,9 @@ class NavierFriction(Wall):
 class Passage(Wall):
     """Base of the walls that matter crosses; matter flows out with its own values.
 
-    Matter flows in with the values given here by name.  A variable without a value has its inner value beyond
-    the wall too, so that the wall does not push a body under stress.  A fluid without any value flows in
-    through an ``Open`` wall with the volume and the density of the wall's pressure.
+    Matter flows in with the values given here by name.  A variable without a given value has its inner value
+    beyond the wall too, so that the wall does not push a body under stress.  If no value is given to a fluid,
+    it flows in through an ``Open`` wall with the volume and the density at the wall's pressure.
     """
 
     density: Annotated[Function | None, Quantity("kg/m^3", "> 0", 1.0)] = None
@@ -155,17 +155,17 @@ class Inflow(Passage):
         Values of the material's variables in the inflow, by name, averaged over the step; default the inner
         values.  Values of variables of one distortion, such as F and J, must fit together.
     amounts : mapping of names to coefficient functions, optional
-        Bodies that flow in, at rest: amounts n_i by the bodies' names, the volumes at rest per actual
-        volume, 0 for bodies that are not named.  The density of the inflow is sum rho_i n_i.  Without
-        amounts the bodies inside flow in.
+        Bodies that flow in, at rest: amounts n_i by the bodies' names. An amount is the volume at rest per
+        actual volume, and is 0 for a body that is not named.  The density of the inflow is sum rho_i n_i.
+        Without amounts the bodies inside flow in.
     temperature : number or coefficient function, optional
         Temperature of the inflow, for a material with heat. By default matter flows in with the entropy
         inside.
     displacement : bool
-        Whether the field ``displacement_NAME`` of the wall NAME is a result: w with dw/dt = v, zero at the
-        start (in scripts ``Initial.values["displacement_NAME"]``), so that w.n is the integral of v.n over
-        time.  The mesh does not move: if w means a displacement of the wall, w has to be small compared with
-        a cell.
+        Whether the field ``displacement_NAME`` of the wall NAME is a result. The field is w with dw/dt = v,
+        zero at the start (in scripts ``Initial.values["displacement_NAME"]``); w.n is the integral of v.n
+        over time.  The mesh does not move: if w stands for a displacement of the wall, w has to be small
+        compared with a cell.
     """
 
     moves = is_held = True
@@ -176,10 +176,10 @@ class Inflow(Passage):
 class PrescribedNormal(Passage):
     """v.n = V on the wall, as on a piston; the tangential part of v is free, without tangential stress.
 
-    The mesh does not move: where V < 0 the piston presses and matter comes in through the wall; where V > 0
-    it pulls and matter leaves.  The ledger has the piston's power and the mass that it sweeps.  On walls
-    parallel to an axis v.n is a component of v and equals V at every point; on other walls it equals V in the
-    mean, by the walls' multipliers (FORMULATION 12).  Raises ParameterError if a parameter is out of its
+    The mesh does not move. Where V < 0 the piston presses, and matter comes in through the wall. Where V > 0
+    it pulls, and matter leaves.  The ledger has the piston's power and the mass that it sweeps.  On walls
+    parallel to an axis v.n is a component of v and equals V at every point. On other walls v.n equals V in
+    the mean, by the walls' multipliers (FORMULATION 12).  Raises ParameterError if a parameter is out of its
     range.
 
     Parameters
@@ -198,9 +198,9 @@ class PrescribedNormal(Passage):
 class Open(Passage):
     """A wall of given stress and free v: (T + D) n = f - p n - Z_p (v.n) n - Z_s v_t - k_p (w.n) n - k_s w_t.
 
-    The wall stays in its place and keeps its normal, so that no force is proportional to the displacement of
-    a surface and to the stress or the weight beneath: between such walls a compressed column does not buckle,
-    tension does not stiffen a strip, and gravity makes no surface waves.
+    The wall stays in its place and keeps its normal. Hence no force is proportional both to the displacement
+    of a surface and to the stress or the weight beneath it. Between such walls a compressed column does not
+    buckle, tension does not stiffen a strip, and gravity makes no surface waves.
 
     Raises ParameterError if a parameter is out of its range.
 
@@ -208,15 +208,15 @@ class Open(Passage):
     ----------
     pressure : number or coefficient function
         Pressure p, averaged over the step.  If the wall gives no other stress, no density and no values, a
-        fluid flows in with its volume and density at p.  The only strain of such a fluid is the volume, and
-        its referential density is known; if the fluid has an entropy, the wall has to give a temperature.
+        fluid flows in with its volume and density at p. This needs a fluid whose only strain is the volume,
+        and whose referential density is known; if it has an entropy, the wall has to give a temperature.
     traction : vector of the mesh's dimension, optional
         Traction f, with its normal part, averaged over the step.
     impedance : pair of numbers
-        Z_p and Z_s of dashpots along and across the normal.  Plane waves leave if Z_p and Z_s are the
-        density times the speeds of pressure and shear waves.
+        Z_p and Z_s of dashpots along and across the normal.  Plane waves leave if Z_p and Z_s are the density
+        times the speeds of pressure and shear waves.
     stiffness : pair of numbers
-        k_p and k_s of springs along and across the normal to a rigid ground, an elastic foundation.  The
+        k_p and k_s of springs, along and across the normal, to a rigid ground (an elastic foundation).  The
         displacement w of a wall on springs is always a result.
     backflow : bool
         Whether the kinetic energy that an inflow brings, -rho (v.n) |v|^2/2 where v.n < 0, is taken from the

@@ -25,7 +25,7 @@ _SIZES = 10.0 ** np.arange(-9, 13)
 """Sizes |M|, Pa, of the samples; the scale of a rule is not known."""
 _ROUNDING = 1e-10
 _INVERSE = 1e-3
-"""Accepted relative difference of psi'(rate(M)) and M, which are both smoothed near zero."""
+"""Accepted relative difference between psi'(rate(M)) and M. psi' and rate are both smoothed near zero."""
 
 
 def values_at_rest(material: Material, parameters: Mapping[str, float] | None = None) -> Values:
@@ -47,7 +47,8 @@ def values_at_rest(material: Material, parameters: Mapping[str, float] | None = 
 
 
 def _readable(name: str, law: FlowRule | Viscosity, material: Material) -> dict[str, Any]:
-    """``values_at_rest`` for a law; raises ParameterError if the temperature that it reads is missing."""
+    """``values_at_rest`` for a law; raises ParameterError if the law reads a temperature that the material
+    lacks."""
     z = dict(values_at_rest(material))
     if TEMPERATURE in law.reads and entropy_in(material) is None:
         expected = (
@@ -62,7 +63,7 @@ def _readable(name: str, law: FlowRule | Viscosity, material: Material) -> dict[
 def check_viscosity(law: Viscosity, material: Material) -> None:
     """Raise ParameterError for a viscosity whose stress has a negative power, or falls with the strain rate.
 
-    The samples are eps of 22 sizes in 8 directions, each with an eps a thousandth larger, at rest.
+    The samples are states at rest with eps of 22 sizes in 8 directions, each with an eps a thousandth larger.
     """
     name = type(law).__name__
     z = _readable(name, law, material)

@@ -1,7 +1,7 @@
 """Flow rules of conformation tensors: polymer fluids of Giesekus, and of Phan-Thien and Tanner.
 
-B is the conformation tensor of a material such as ``OldroydB``, zeta its conjugate.  With the energy of
-``OldroydB``, zeta = G_e (I - B^-1), lambda = G_m/(4 G_e), the relaxation of B is
+B is the conformation tensor of a material such as ``OldroydB``, and zeta is its conjugate.  With the energy
+of ``OldroydB``, zeta = G_e (I - B^-1) and lambda = G_m/(4 G_e), the relaxation of B is
 
 | rule                | Pi G_m/2                        | relaxation of B                              |
 |---------------------|---------------------------------|----------------------------------------------|
@@ -9,7 +9,7 @@ B is the conformation tensor of a material such as ``OldroydB``, zeta its conjug
 | ``Giesekus``        | (1 - alpha) zeta + alpha B zeta | -(B - I + alpha (B - I)^2)/lambda            |
 | ``PTT``             | f(tr B) zeta                    | -f(tr B) (B - I)/lambda                      |
 
-The power 2 sym(zeta B) : Pi of each rule is >= 0 for every symmetric zeta and every positive definite B: it
+The power 2 sym(zeta B) : Pi of each rule is >= 0 for every symmetric zeta and every positive definite B. It
 is a sum of tr(zeta B zeta), |B zeta|^2 and tr((B^{1/2} zeta B^{1/2})^2) with factors >= 0.
 """
 
@@ -72,7 +72,7 @@ class PTT(_OfConformation):
 
     f = 1 + epsilon (tr B - 3), linear, or exp(epsilon (tr B - 3)).  Stretched chains leave the network
     faster, so that the shear viscosity falls with the shear rate and the extensional viscosity stays finite.
-    The slip parameter xi of the published law is 0: the velocity carries B like all tensors here.  Raises
+    The slip parameter xi of the published law is 0: the velocity carries B like all other tensors.  Raises
     ParameterError if a parameter is out of its range.
 
     Parameters

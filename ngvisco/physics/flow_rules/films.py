@@ -1,20 +1,20 @@
 """Films of fluid and a body in one cell, in series: they bear one shear traction, and shear at two rates.
 
-A cell that an interface of normal n cuts has one velocity. Let S be the fluid's part of the cell, D the shear
-across the interface at the cell's rate, e_f and e the shear of the fluid and of the body:
+A cell that an interface of normal n cuts has one velocity. Let S be the fluid's part of the cell. Let D be
+the shear across the interface at the cell's rate, e_f the shear of the fluid and e that of the body:
 
     D = S e_f + (1 - S) e.
 
-The viscous stress of both is that of the fluid, 2 G_v e, and the body bears the elastic traction M in
-addition: 2 G_v e_f = 2 G_v e + M. So
+Both have the fluid's viscosity, so that the body's viscous stress is 2 G_v e. The body also bears the elastic
+traction M: 2 G_v e_f = 2 G_v e + M. So
 
     e = D - Pi,   Pi = S M/(2 G_v),
 
-which has the form of a creep rate. Its power M : Pi >= 0, with the weight 1 - S, is the dissipation of the
-two rates in excess of the dissipation of one rate D. In a step of length tau, Pi is divided by
-1 + S k tau/(2 G_v), 2 k the stress per creep strain: a thin film relieves M in the step, by the midpoint rule
-to zero and not beyond it. Without this rate the body's part of the cell is sheared like the film, and drags
-the wall along.
+which has the form of a creep rate. Its power is M : Pi >= 0. With the weight 1 - S, this power is the
+dissipation of the two rates minus the dissipation of the one rate D. In a step of length tau, Pi is divided
+by 1 + S k tau/(2 G_v), where 2 k is the stress per creep strain. A thin film then relieves M within the step,
+by the midpoint rule to zero and not beyond it. Without this rate the body's part of the cell is sheared like
+the film, and drags the wall along.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ from ngvisco.physics.variables import INTERFACE, STEP, Values
 
 @dataclass(frozen=True, kw_only=True)
 class Films(FlowRule):
-    """Pi = sum_f S_f/(2 G_v) times the shear of M across the interface, with fluids f and S_f = chi_f
-    theta_f."""
+    """Pi = sum_f S_f/(2 G_v) times the shear of M across the interface. The sum is over fluids f, with S_f =
+    chi_f theta_f."""
 
     fluids: tuple[tuple[str, StokesViscosity], ...]
     """Pairs of a fluid's name and its viscosity; the shear viscosity G_v is positive."""

@@ -16,11 +16,12 @@ from ngvisco.physics.variables import HARDENING, PRESSURE, Values
 
 CreepLaw: TypeAlias = Literal["mandel", "conformation", "leonov"]
 DrivenBy: TypeAlias = Literal["mandel", "conformation"]
-"""Direction of the rate: M, or 2 zeta of a conformation tensor in place of M."""
+"""Direction of the rate: "mandel" is M, "conformation" is 2 zeta, zeta the conjugate of a conformation
+tensor."""
 
 
 class _Driven(GradientRule):
-    """A rule whose rate is along M or, by ``law``, along 2 zeta, which has a trace, or another tensor."""
+    """A rule whose rate is along a tensor that ``law`` chooses, such as M, or 2 zeta, which has a trace."""
 
     law: CreepLaw
 
@@ -47,16 +48,17 @@ class _Driven(GradientRule):
 class Creep(_Driven):
     """Maxwellian creep G_m Pi - div(nu |grad Pi|^{q-2} grad Pi) = M (paper: ED-Euler-large3).
 
-    ``law`` chooses the driving stress of Pi.  The last two need a conformation tensor B with the conjugate
-    zeta (``OldroydB``, ``FENEP``), are local (nu = 0), and agree with the first at small elastic strains:
+    ``law`` chooses the driving stress of Pi.  The laws ``"conformation"`` and ``"leonov"`` need a
+    conformation tensor B with the conjugate zeta (``OldroydB``, ``FENEP``), are local (nu = 0), and agree
+    with ``"mandel"`` at small elastic strains:
 
     * ``"mandel"``: G_m Pi = M; for small strains E_ZJ = eps(v) - R dev S (paper:
       Euler-small-viscoelastodyn+2),
     * ``"conformation"``: G_m Pi = 2 zeta, with a trace, so that det B relaxes too (Oldroyd-B, FENE-P),
     * ``"leonov"``: G_m Pi = M/2 + dev zeta (Leonov).
 
-    The sign follows from the energy balance; the paper's flow rules print G_m Pi = -M. A steady flow with the
-    strain rate eps has dev T = G_m dev eps.  The stress relaxes like exp(-t/lambda) with the Maxwell time
+    The sign follows from the energy balance; the paper's flow rules print G_m Pi = -M. In a steady flow with
+    the strain rate eps, dev T = G_m dev eps.  The stress relaxes like exp(-t/lambda) with the Maxwell time
     lambda = G_m/(2 G), where G is the usual shear modulus (G_e for small-strain materials, 2 G_e for
     neo-Hookean ones, 2 (G_e + G_mr) for Mooney-Rivlin).  Raises ParameterError if a parameter is out of its
     range.
@@ -86,7 +88,7 @@ class Creep(_Driven):
 
     @property
     def R(self) -> float:
-        """Reciprocal creep modulus 1/G_m, 1/(Pa s); of the typical value if G_m is an expression."""
+        """Reciprocal creep modulus 1/G_m, 1/(Pa s), at the typical value of G_m if G_m is an expression."""
         return 1 / typical_value(self.G_m)
 
     @property
@@ -113,9 +115,9 @@ class Creep(_Driven):
 class Norton(_Driven):
     """Power-law creep Pi = A |M|^{n-1} M, with the potential A |M|^{n+1}/(n+1) (Norton 1929, Glen 1955).
 
-    A uniaxial law, strain rate B sigma^n, has A = (3/2)^{(n+1)/2} B.  n = 1 is ``Creep`` with G_m = 1/A.
-    ``law`` = "conformation" gives Pi = A |M|^{n-1} 2 zeta, a fluid whose relaxation time falls with the
-    stress.  Raises ParameterError if a parameter is out of its range.
+    The uniaxial law, strain rate = B sigma^n, has A = (3/2)^{(n+1)/2} B.  For n = 1 the rule is ``Creep``
+    with G_m = 1/A.  ``law`` = "conformation" gives Pi = A |M|^{n-1} 2 zeta, a fluid whose relaxation time
+    falls with the stress.  Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
@@ -208,11 +210,12 @@ class Perzyna(_Driven):
 
         Pi = 1/G_m (|M| - s)^+ ((|M| - s)^+/s)^{n-1} M/|M|,   s = sqrt(2/3) sigma_Y,
 
-    with the potential s^2/(G_m (n + 1)) ((|M| - s)^+/s)^{n+1}.  The material does not creep up to the stress
-    sigma_Y in tension, sigma_Y/sqrt(3) in shear.  G_m -> 0 is rate-independent perfect plasticity.
+    with the potential s^2/(G_m (n + 1)) ((|M| - s)^+/s)^{n+1}.  The material creeps only above the stress
+    sigma_Y in tension, or sigma_Y/sqrt(3) in shear.  The limit G_m -> 0 is rate-independent perfect
+    plasticity.
 
-    With H or Q it hardens: sigma_Y grows by H k + Q (1 - exp(-b k)) with the plastic strain k, which the
-    matter carries (the field ``plastic_strain``), and the work of hardening is stored
+    With H or Q the material hardens: sigma_Y grows by H k + Q (1 - exp(-b k)) with the plastic strain k. The
+    matter carries k (the field ``plastic_strain``), and the work of hardening is stored
     (``ngvisco.physics.flow_rules.rule``).
 
     ``law`` = "conformation" replaces M/|M| by 2 zeta/|M|.  With ``OldroydB`` this is the elastoviscoplastic
@@ -297,9 +300,10 @@ class DruckerPrager(FlowRule):
 
         Pi = 1/G_m (|M| - s)^+ M/|M|,   s = sqrt(2) (c cos phi + p sin phi)^+,   p = -tr T/3,
 
-    so that sqrt(J_2) = |M|/sqrt(2) is limited to c cos phi + p sin phi, as by Mohr and Coulomb in plane
-    strain.  The material does not dilate: tr Pi = 0.  Because s depends on p, the rule has no potential, but
-    M : Pi >= 0 always.  The rule is local.  Raises ParameterError if a parameter is out of its range.
+    so that sqrt(J_2) = |M|/sqrt(2) is limited to c cos phi + p sin phi, which is the limit of Mohr and
+    Coulomb in plane strain.  The material does not dilate: tr Pi = 0.  Because s depends on p, the rule has
+    no potential, but M : Pi >= 0 always.  The rule is local.  Raises ParameterError if a parameter is out of
+    its range.
 
     Parameters
     ----------

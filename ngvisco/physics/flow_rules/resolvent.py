@@ -1,6 +1,6 @@
 """The resolvent of a flow rule: the stress M with M + c rate(M) = Y, at many points.
 
-M is unique for a monotone rate and c > 0, and |dM| <= |dY| for every such rule (Yosida).
+If the rate is monotone and c > 0, M is unique, and |dM| <= |dY| (Yosida).
 """
 
 from collections.abc import Callable
@@ -15,8 +15,8 @@ PointRate: TypeAlias = Callable[[np.ndarray], np.ndarray]
 
 _ITERATIONS, _HALVINGS = 50, 20
 _LAST, _NEAR, _TURNED = 1e-8, 1e-12, 1e-10
-"""Relative increments of |M| and of all components below which Newton's method ends.  A rate counts as a
-multiple of M if the part of c rate(M) normal to Y is at most the last number times |Y|."""
+"""Three relative numbers: the increments of |M| and of all components below which Newton's method ends; and
+the largest part of c rate(M) normal to Y, as a share of |Y|, with which a rate counts as a multiple of M."""
 
 
 def slope_of(rate: PointRate, M: np.ndarray) -> np.ndarray:
@@ -31,7 +31,7 @@ def resolved(
     """M with M + c rate(M) = Y, Pa, and rate(M), 1/s, (points, p), for c in Pa s.
 
     Newton's method within a bracket along Y starts from |M| = ``start``, (points,), or |Y|.  If the rate is
-    no multiple of its stress, Newton's method for all components continues from the result.
+    not a multiple of its stress, the result is the start value of Newton's method for all components.
     """
     size = np.linalg.norm(Y, axis=1)
     along = Y / np.where(size > 0, size, 1.0)[:, None]
@@ -43,9 +43,9 @@ def resolved(
         low, high = np.where(defect < 0, s, low), np.where(defect < 0, high, s)
         newton = s - defect / (1 + c * value.imag / TINY)
         length = abs(newton - s)
-        # for an exponential rate all Newton steps have equal lengths: the bracket is halved instead
+        # if all Newton steps have equal lengths, as for an exponential rate, the bracket is halved instead
         accepted = (newton >= low) & (newton <= high) & (length <= 0.5 * moved)
-        # for a rate that gives energy the bracket has no upper end
+        # the bracket has no upper end for a rate that gives energy
         middle = np.where(high < np.inf, 0.5 * (low + high), 2 * s)
         s, moved = np.where(done, s, np.where(accepted, newton, middle)), np.where(accepted, length, np.inf)
         done |= accepted & (length <= _LAST * size)

@@ -8,16 +8,16 @@ with the potential psi(Pi) whose derivative is the inverse of M -> rate(M).  A r
 the operations of ``ngvisco.physics.tensors``, for coefficient functions and arrays alike, and never their
 derivatives.
 
-The yield stress of a rule that hardens grows with the accumulated plastic strain k, which the matter carries.
-The stored part of the work of yield is an energy phi_h(k) per reference volume beside the elastic energy.
-Per actual volume, with A = 1/J, the matter carries the density K = A k and has the energy A phi_h(K/A), the
-perspective of phi_h, jointly convex in (A, K); k causes no pressure:
+If a rule hardens, its yield stress grows with the accumulated plastic strain k, which the matter carries.
+The stored part of the work of yield is an energy phi_h(k) per reference volume, in addition to the elastic
+energy. Per actual volume, with A = 1/J, the matter carries the density K = A k and has the energy A
+phi_h(K/A). This is the perspective of phi_h, and jointly convex in (A, K); k causes no pressure:
 
     dk/dt + (v . grad) k = sqrt(2/3) |Pi|,    sigma_Y(k) = sigma_Y + A phi_h'(k).
 
 M and sigma_Y are per actual area.  The part A phi_h'(k) dk/dt of the power M : Pi is stored, and the rest is
-dissipated.  At the yield stress the dissipation is sqrt(2/3) sigma_Y |Pi| with the yield stress sigma_Y of
-the virgin material, for every k.
+dissipated.  At the yield stress the dissipation is sqrt(2/3) sigma_Y |Pi| for every k, where sigma_Y is the
+yield stress of the virgin material.
 """
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ SMALL_STRAIN = 1e-2
 class PlasticContent(PerVolume):
     """K = A k >= 0, transported by its flux; k is the accumulated plastic strain, in uniaxial measure.
 
-    dK/dt + div(K v) = A dk/dt with A = 1/J; for body i the amount n_i replaces A.  ``rate`` is the rate that
-    the flux gives.  A term adds the growth by yield, because the growth is not linear in Pi.  Hardening
-    before the start is part of the initial yield stress.
+    dK/dt + div(K v) = A dk/dt with A = 1/J; for body i the amount n_i replaces A.  ``rate`` is the rate
+    without growth, which the flux gives.  A term adds the growth by yield, because the growth is not linear
+    in Pi.  The initial yield stress contains hardening before the start.
     """
 
     name: str = "plastic_content"
@@ -102,9 +102,9 @@ class FlowRule(Checked, ABC):
     q: float = 4.0
     """Exponent of the gradient term, > 1."""
     floor: float = 1e-10
-    """Regularisation of |grad Pi| at zero for exponents other than even integers, 1/(m s), > 0."""
+    """Size of |grad Pi|, 1/(m s), > 0, below which powers other than even integers are smoothed."""
     rate_floor: float = 1e-9
-    """|Pi| below which a ``psi`` without an even power is smoothed at zero, 1/s, > 0."""
+    """Size of |Pi|, 1/s, > 0, below which a ``psi`` without an even power is smoothed."""
     reads_conjugate: bool = False
     """Whether ``rate`` reads zeta; the material then needs a conformation tensor, and the rule is local."""
     reads: frozenset[str] = frozenset()
@@ -112,8 +112,7 @@ class FlowRule(Checked, ABC):
     has_trace: bool = False
     """Whether tr Pi may differ from zero; J then does not determine det B."""
     degree: float = math.inf
-    """Power of |M| with which the rate grows, 1 for a linear rule; infinite if the rate does not grow by a
-    power."""
+    """Power of |M| with which the rate grows: 1 for a linear rule, infinite for a rate that is no power."""
 
     @abstractmethod
     def rate(self, M: Tensor, zeta: Tensor | None, z: Values) -> Tensor:
@@ -145,7 +144,7 @@ class FlowRule(Checked, ABC):
 
     @property
     def is_linear(self) -> bool:
-        """Whether Pi is linear in M and zeta, with constant coefficients: ``rate`` reads nothing else."""
+        """Whether Pi is linear in M and zeta, with constant coefficients, and ``rate`` reads nothing else."""
         return False
 
     @property
@@ -159,7 +158,7 @@ class FlowRule(Checked, ABC):
         return None
 
     def hardening_rate(self, Pi: Tensor) -> Tensor:
-        """The rate dk/dt, 1/s, from |Pi|; smoothed like ``psi`` for a rule with a gradient term."""
+        """The rate dk/dt, 1/s, from |Pi|. For a rule with a gradient term |Pi| is smoothed as in ``psi``."""
         size, floor = square(Pi), TINY_STRESS if self.is_local else self.rate_floor
         return math.sqrt(2 / 3) * (size * power_of_square(size, -0.5, floor))
 
@@ -168,15 +167,16 @@ class FlowRule(Checked, ABC):
         return self.nu * power_of_square(s, 0.5 * (self.q - 2), self.floor)
 
     def overstress(self, rate: float, z: Values) -> float:
-        """The ratio of the overstress at |Pi| = ``rate``, 1/s, to the yield stress; 0 for a rule without one.
+        """The ratio of the overstress at |Pi| = ``rate``, 1/s, to the yield stress; 0 for a rule without a
+        yield stress.
 
-        ``z`` are arrays of one point; a strength that depends on pressure is taken at p = 0.
+        ``z`` are arrays of one point; a strength that depends on pressure is evaluated at p = 0.
         """
         return 0.0
 
     def relaxation_time(self, shear: float, z: Values) -> float:
-        """The ratio of an elastic shear strain, ``SMALL_STRAIN``, to the creep rate of its stress, s; ``inf``
-        without creep.
+        """An elastic shear strain, ``SMALL_STRAIN``, divided by the creep rate that its stress causes, s;
+        ``inf`` without creep.
 
         ``shear`` is the shear modulus G, Pa; ``z`` are arrays of one point.
         """

@@ -18,12 +18,12 @@ from ngvisco.physics.variables import Values, Variable
 class CustomMaterial(Material):
     """A material with phi = stored_energy(**values) for any list of transported variables.
 
-    A run samples the energy and warns where it is not jointly convex, see ``check_convexity``.  Raises
-    ParameterError if ``transported`` is not a list of variables; if the energy or a bound raises an error,
-    returns anything but a real scalar, or reads anything but the variables (the position, the time, a grid
-    function, ...); if a bound is not positive at rest and on a convex set; or if a rotation Q of the observer
-    changes the energy, with this rotation in the message.  phi(Q F) = phi(F) is required; for a spatial
-    tensor, E or B = F F^T, this is isotropy.
+    A run samples the energy and warns where it is not jointly convex, see ``check_convexity``.  A rotation of
+    the observer must not change the energy: phi(Q F) = phi(F); for a spatial tensor, E or B = F F^T, this is
+    isotropy.  Raises ParameterError in the following cases: ``transported`` is not a list of variables; the
+    energy or a bound raises an error, returns anything but a real scalar, or reads anything but the variables
+    (the position, the time, a grid function, ...); a bound is not positive at rest and on a convex set; a
+    rotation Q of the observer changes the energy, with this rotation in the message.
 
     Example::
 
@@ -113,6 +113,6 @@ class CustomMaterial(Material):
         return self.stored_energy(**self._told(z))
 
     def _told(self, z: Values) -> Values:
-        """The values with parameters instead of their carried numbers, as users' functions take them."""
+        """The values for users' functions: parameters themselves replace their carried numbers."""
         means = (v for v in self.transported if isinstance(v, Parameter) and v.mean != "arithmetic")
         return {**z, **{v.name: v.at(z) for v in means}}

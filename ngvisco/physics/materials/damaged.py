@@ -6,14 +6,14 @@ Per actual volume, with A = 1/J for a material at finite strain and A = 1 for a 
 
 where q is the gradient of d, a is the degraded part of the energy and c the rest: c = 0, or the energy of
 volumetric compression.  The last term of phi is G_c times the density of a crack's surface (Pham et al., Int.
-J.  Damage Mech. 20, 2011).  ``AT2`` has w = d^2, c_w = 2 (Ambrosio and Tortorelli); ``AT1`` has w = d, c_w =
+J.  Damage Mech. 20, 2011).  ``AT2`` (Ambrosio and Tortorelli) has w = d^2, c_w = 2; ``AT1`` has w = d, c_w =
 8/3, and is elastic up to a threshold.
 
-The matter carries d and its gradient.  The actual gradient, q = grad d with dq/dt + (v . grad) q = -L^T q,
-has a conjugate that gives the stress of the gradient term.  The referential gradient, q = F^T grad d with the
-distortion F since the start (creep included), is constant at a point of the matter, dq/dt + (v . grad) q = 0:
-the term of this gradient has no stress, and a stretched crack keeps its energy.  phi is convex in z for given
-(d, q) and in (d, q) for given z, but not jointly.  Therefore the conjugates of z use the damage at the step's
+The matter carries d and its gradient.  The actual gradient is q = grad d, with dq/dt + (v . grad) q = -L^T q;
+its conjugate gives the stress of the gradient term.  The referential gradient is q = F^T grad d, with the
+distortion F since the start, creep included. It is constant at a point of the matter, dq/dt + (v . grad) q =
+0. Its term therefore has no stress, and a stretched crack keeps its energy.  phi is convex in z for given (d,
+q) and in (d, q) for given z, but not jointly.  Therefore the conjugates of z use the damage at the step's
 start (``Material.lagged``), and damage grows after the step, with z fixed (``ngvisco.forms.damage``; the
 staggered scheme of Roubicek, arXiv:2510.10355).
 """
@@ -106,16 +106,18 @@ class Damaged(Wrapper):
     """A material that breaks, by a phase field of its damage d in [0, 1] (module's docstring).
 
     The energy of the intact material is counted from rest, where its stress has to vanish.  A fully formed
-    crack has the energy G_c times its area, and d = exp(-|x|/l) (AT2) or (1 - |x|/2l)^2 (AT1) across it. With
-    ``area="actual"`` x and l are lengths in the actual place, and at J = 1 G_c is per deformed area of the
-    crack.  In matter that is stretched by lambda across the crack, the crack's energy is G_c/lambda per
-    reference area, and a crack from before the stretch keeps (1 + 1/lambda^2)/2 of its energy.  With
+    crack has the energy G_c times its area. Across the crack, d = exp(-|x|/l) (AT2) or (1 - |x|/2l)^2 (AT1).
+
+    With ``area="actual"`` x and l are lengths in the actual place, and at J = 1 G_c is per deformed area of
+    the crack.  In matter that is stretched by lambda across the crack, the crack's energy is G_c/lambda per
+    reference area. A crack from before the stretch keeps (1 + 1/lambda^2)/2 of its energy.  With
     ``area="reference"`` x and l are lengths of the body at its start, G_c is per reference area, and the
     crack keeps its energy; the body then also carries its distortion since the start.  Without healing d
-    falls only by errors of transport, where matter moves through the mesh.  Raises ParameterError if a
-    parameter is out of its range, if the material has stress at rest, an energy without an expression, or no
-    volume that defines compression, or for ``"reference"`` with a material of small strain, which has one
-    area.
+    falls only by errors of transport, where matter moves through the mesh.
+
+    Raises ParameterError if a parameter is out of its range, or if the material has stress at rest, an energy
+    without an expression, or no volume that defines compression. A material of small strain has one area, so
+    that ``"reference"`` is refused.
 
     Example::
 
@@ -286,7 +288,7 @@ class Damaged(Wrapper):
         return whole - kept, kept if left is None else kept + left
 
     def _spherical_energy(self, z: Values, J: Any) -> Any:
-        """phi without damage at F = J^{1/3} I; ``z`` gives parameters, and the kind, array or function."""
+        """phi without damage at F = J^{1/3} I. ``z`` gives the parameters; J is an array or a function."""
         state: dict[str, Any] = {}
         for v in self.material.variables:
             if isinstance(v, Parameter):
@@ -309,7 +311,7 @@ class Damaged(Wrapper):
         return self.weight(z) * (of_damage * w + of_slope * square(q))
 
     def degraded_energy(self, z: Values) -> Tensor:
-        """The energy without that of cracks, per actual volume, Pa."""
+        """The energy without the energy of cracks, Pa, per actual volume."""
         degraded, kept = self.parts(z)
         phi = self.degradation(z[DAMAGE.name]) * degraded
         return phi if kept is None else phi + kept

@@ -158,9 +158,9 @@ class FENEP(OldroydB):
 
     The chains are dumbbells of finite length (FENE-P, with Peterlin's closure): zeta_B = G_e (f I - B^-1)
     with f = (b - 3)/(b - tr B), which is 1 at rest.  The relaxation by the law ``conformation`` is -(f B -
-    I)/lambda.  phi is strictly convex in (B, J), and singular as tr B -> b, det B -> 0+ and J -> 0+. Like J >
-    0, the limiter or shorter steps keep b - tr B > 0.  ``OldroydB`` is the limit b -> infinity.  Raises
-    ParameterError if a parameter is out of its range.
+    I)/lambda.  phi is strictly convex in (B, J), and singular as tr B -> b, det B -> 0+ and J -> 0+. The
+    limiter or shorter steps keep b - tr B > 0, as they keep J > 0.  ``OldroydB`` is the limit b -> infinity.
+    Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------

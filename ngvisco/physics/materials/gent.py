@@ -16,8 +16,8 @@ from ngvisco.physics.variables import Distortion, LeftCauchyGreen, Values
 class Gent(ContinuedInJ, IsotropicElastic):
     """phi(H, J) = K_e/2 (J - 2 + 1/J) - G_e J_m ln(1 - (|H|^2 - 3)/J_m), H = J^{-1/3} F (Gent 1996).
 
-    By B = J^{-2/3} F F^T, |H|^2 is tr B.  phi is convex in (H, J) and in (B, J), since -ln is convex and
-    falls and |H|^2 is convex.  The limiter or shorter steps keep J_m + 3 - |H|^2 > 0, as they keep J > 0.  At
+    In terms of B = J^{-2/3} F F^T, |H|^2 is tr B.  phi is convex in (H, J) and in (B, J), since -ln is convex
+    and falling, and |H|^2 is convex.  The limiter or shorter steps keep J_m + 3 - |H|^2 > 0, and J > 0.  At
     rest the law agrees with ``ReferentialNeoHookean``, and for J_m -> infinity the chains' energy is linear
     in tr B.  In uniaxial stretch lambda at constant volume T_11 - T_22 = 2 G_e f (lambda^2 - 1/lambda) with f
     = J_m/(J_m + 3 - |H|^2).  T(I) = 0.  Raises ParameterError if a parameter is out of its range.

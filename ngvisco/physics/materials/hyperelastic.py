@@ -6,10 +6,10 @@ has a determinant below one, so that det F and J drift apart while the ledger st
 contain Q, and suffices for isotropic energies, which are linear or convex in B.
 
 **Actual and referential.**  The paper's energies are per actual volume.  The referential energies are K_e/2
-(J - 1 + c)^2 + G_e |F_iso|^2 + s(J) per *referential* volume, F_iso = J^{-1/3} F, and phi is this energy over
-J (paper: exa-neo-Hookean-ref), convex neither in F nor in (F, J) but in the variables chosen here.  The
-referential energies are stationary at rest, so that T(I) = 0.  (|H|^2/J = tr(J^{-2/3} F F^T)/J is not convex
-in J^{-2/3} F F^T and J, so that all referential materials have B = J^{-5/3} F F^T.)
+(J - 1 + c)^2 + G_e |F_iso|^2 + s(J) per *referential* volume, with F_iso = J^{-1/3} F, and phi is this energy
+divided by J (paper: exa-neo-Hookean-ref). phi is convex neither in F nor in (F, J), but in the variables
+chosen here.  The referential energies are stationary at rest, so that T(I) = 0.  (|H|^2/J = tr(J^{-2/3} F
+F^T)/J is not convex in J^{-2/3} F F^T and J, so that all referential materials have B = J^{-5/3} F F^T.)
 
 **J_min** is the J below which the part singular at J = 0 is continued linearly (paper: rem-neo-Hookean-ref).
 The continuation is convex and C1, and has no effect as long as J >= J_min.
@@ -138,10 +138,10 @@ class NeoHookean(ContinuedInJ, IsotropicElastic):
     keeps the minimum at J = 1 (paper: last sentence of exa-polyconvex-general).
 
     phi is jointly convex in (F, J) (paper: convexity-neo-Hookean), strictly in J, and blows up as J -> 0+.
-    The minimum of phi is on SO(3).  The stress at rest is phi(I, 1) I = (3 G_e + epsilon^2/(2 K_e)) I (with
-    kappa: (3 G_e + epsilon + (kappa epsilon)^2/(2 K_e)) I), since the energy is per *actual* volume; a body
-    of fixed shape does not feel it, and open walls have to bear it, by a pressure of minus this stress.  In
-    simple shear F = I + gamma e1 x e2, T_12 is 2 G_e gamma.
+    The minimum of phi is on SO(3).  The energy is per *actual* volume. The stress at rest is therefore
+    phi(I, 1) I = (3 G_e + epsilon^2/(2 K_e)) I, with kappa (3 G_e + epsilon + (kappa epsilon)^2/(2 K_e)) I. A
+    body of fixed shape does not feel this stress. Open walls have to bear it, by a pressure of minus this
+    stress.  In simple shear F = I + gamma e1 x e2, T_12 is 2 G_e gamma.
 
     With ``elastic_state="B"`` phi is linear in B = J^{-2/3} F F^T and convex in (B, J), strictly in J.
     Raises ParameterError if a modulus is not positive, or ``elastic_state`` is neither "F" nor "B".
@@ -321,7 +321,7 @@ class LogarithmicNeoHookean(IsotropicElastic):
 
 @dataclass(frozen=True, kw_only=True)
 class _WithCofactor(IsotropicElastic):
-    """Mix-in that adds G_mr |N|^2, N = J^{-7/6} Cof F, or by B G_mr tr N, N = J^{-7/3} Cof(F F^T).
+    """Mix-in that adds G_mr |N|^2 with N = J^{-7/6} Cof F; or, by B, G_mr tr N with N = J^{-7/3} Cof(F F^T).
 
     Parameters
     ----------

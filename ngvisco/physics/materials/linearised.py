@@ -79,10 +79,10 @@ class IsotropicStrainEnergy(Material):
 class HardeningElastic(LinearElastic):
     """phi(E) = 3/2 K_e |sph E|^2 + G_e |dev E|^2 + K_h/s |tr E|^s + 2 G_h/s |dev E|^s, s > 2.
 
-    This energy of St Venant-Kirchhoff type grows faster than quadratically, which the paper's analysis of
-    large strains admits (paper: rem-general-phi).  The energy is strongly convex and isotropic.  T(0) = 0; at
-    small strains K_e and G_e are the usual bulk and shear moduli, and the tangent moduli grow like |E|^{s-2}.
-    Raises ParameterError if a parameter is out of its range.
+    The paper's analysis of large strains admits this energy of St Venant-Kirchhoff type, because it grows
+    faster than quadratically (paper: rem-general-phi).  The energy is strongly convex and isotropic.  T(0) =
+    0. At small strains K_e and G_e are the usual bulk and shear moduli; the tangent moduli grow like
+    |E|^{s-2}.  Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------

@@ -1,14 +1,14 @@
 """Networks of materials in parallel that share one volume, each branch with its own flow rule.
 
-A network of branches i with energies phi_i(z_i, J), z_i the tensors of the branch's distortion, has
+A network has branches i with energies phi_i(z_i, J), where z_i are the tensors of the branch's distortion:
 
     phi = sum_i phi_i(z_i, J),   Pi_i = rate_i(M_i),   M_i the Mandel stress of phi_i alone.
 
-The stress is the sum of the branches' stresses, and the dissipation is sum_i M_i : Pi_i with each term >= 0.
+The stress is the sum of the branches' stresses. The dissipation is sum_i M_i : Pi_i, and each term is >= 0.
 phi is jointly convex if every phi_i is jointly convex.  J = det F, 1/J and other functions of the volume,
 which creep does not change, are carried once.  A branch without a flow rule is a spring.  A spring and a
-Maxwell branch make the standard linear solid, several Maxwell branches a Prony series (1795), and two a fluid
-of Burgers (1935).
+Maxwell branch make the standard linear solid. Several Maxwell branches make a Prony series (1795), and two
+Maxwell branches a fluid of Burgers (1935).
 """
 
 from __future__ import annotations
@@ -68,12 +68,13 @@ class Network(Material):
     """Materials in parallel, with one volume, and with tensors and a flow rule for each branch.
 
     A branch ``slow`` of a material with the variable B carries ``B_slow``; its hardening carries
-    ``plastic_content_slow``. If any branch flows, or m = 0, branches that leave ``elastic_state`` open are by
-    B = F F^T. The bulk modulus is the sum of the branches' moduli; K_e = 0 is allowed for branches of small
+    ``plastic_content_slow``. Branches that leave ``elastic_state`` open are by B = F F^T if any branch flows,
+    or if m = 0. The bulk modulus is the sum of the branches' moduli; K_e = 0 is allowed for branches of small
     strain, ``Referential...``, ``IsochoricNeoHookean``, ``Gent``, ``Ogden``, ``OldroydB`` and ``FENEP``.
     Raises ParameterError for an invalid name, a part of the wrong type, and a network without branches or
     without a bulk modulus.  Also refused are materials with heat, damage or branches, materials without a
-    common volume, and flow rules with a gradient term or without the conformation tensor that they need.
+    common volume, flow rules with a gradient term, and flow rules without the conformation tensor that they
+    need.
 
     Example::
 
@@ -120,7 +121,8 @@ class Network(Material):
         return replace(self, branches=branches)
 
     def own(self, name: str) -> dict[str, Variable]:
-        """The variables that only this branch carries, by their names in the branch's material."""
+        """The variables of the branch ``name`` that no other branch carries, by their names in the branch's
+        material."""
         tensors = (v for v in self.branches[name].material.variables if v.creeps)
         return {v.name: replace(v, name=f"{v.name}_{name}") for v in tensors}
 
@@ -173,7 +175,7 @@ class Network(Material):
             own = self.own(name)
             new_names = {v.name: own[v.name].name for v in branch.material.variables if v.name in own}
             names |= {new_names[name] for name in branch.material.continued if name in new_names}
-        # a shared variable is continued only if all branches that have it continue their energies
+        # a shared variable is continued only if the energies of all branches that have it are continued
         for shared in {v.name for b in self.parts.values() for v in b.material.variables if not v.creeps}:
             materials = (b.material for b in self.parts.values())
             if all(shared in m.continued for m in materials if shared in {v.name for v in m.variables}):
@@ -212,7 +214,8 @@ class Network(Material):
             raise ParameterError("Network.branches", list(self.parts), expected)
 
     def _check_volume(self) -> None:
-        """Raise ParameterError for small strains beside large ones, and for a bulk modulus <= 0."""
+        """Raise ParameterError for a branch of small strain beside one of large strain, and for a bulk
+        modulus <= 0."""
         small = {
             n: any(isinstance(v, SmallStrain) for v in b.material.variables) for n, b in self.parts.items()
         }

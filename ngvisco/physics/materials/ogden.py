@@ -8,9 +8,9 @@ as at rest.  For s = k + r with 0 < r < 1
 
 is a quadrature of Stieltjes' integral for x^r, which makes tr C^s a sum of rational functions of the
 invariants.  The weights come from least squares over stretches from 1/10 to 10, with exact value and two
-exact derivatives at rest; 13 terms have a relative error of 1e-6.  Symbolic derivatives for one such exponent
-take 8 times as long as symbolic derivatives of Oldroyd's energy (0.2 ms and 0.03 ms a point); even exponents
-are exact and cheap.
+exact derivatives at rest; 13 terms have a relative error of 1e-6.  The symbolic derivatives for one such
+exponent take 8 times as long as those of Oldroyd's energy (0.2 ms and 0.03 ms a point). Even exponents are
+exact and cheap.
 """
 
 from __future__ import annotations
@@ -94,11 +94,12 @@ def powers_of_stretches(invariants: tuple[Tensor, Tensor, Tensor], weights: Mapp
 class Ogden(ContinuedInJ):
     """phi = K_e/2 (J - 2 + 1/J) + sum_p mu_p/alpha_p (sum_i lambda_i^alpha_p - 3) (Ogden 1972).
 
-    lambda_i are the principal stretches of F_iso = J^{-1/3} F, the singular values of H = F_iso; for
+    lambda_i are the principal stretches of F_iso = J^{-1/3} F, the singular values of H = F_iso. For
     alpha_p < 0, lambda_i^alpha_p is a singular value of N = J^{-2/3} Cof F to the power -alpha_p.  If
-    mu_p alpha_p > 0, phi is jointly convex in (H, N, J) for |alpha_p| >= 1, and by B and its cofactor for
-    |alpha_p| >= 2 (Ball 1977).  The shear modulus at rest is sum mu_p alpha_p/2.  In uniaxial stretch lambda
-    at constant volume T_11 - T_22 = sum mu_p (lambda^alpha_p - lambda^{-alpha_p/2}).  T(I) = 0.
+    mu_p alpha_p > 0, phi is jointly convex in (H, N, J) for |alpha_p| >= 1. In terms of B and its cofactor it
+    is convex for |alpha_p| >= 2 (Ball 1977).  The shear modulus at rest is sum mu_p alpha_p/2.  In uniaxial
+    stretch lambda at constant volume T_11 - T_22 = sum mu_p (lambda^alpha_p - lambda^{-alpha_p/2}).  T(I) =
+    0.
 
     Powers with exponents other than even integers have an error of 1e-6 for stretches from 1/10 to 10. Raises
     ParameterError for no moduli, unequal numbers of moduli and exponents, equal exponents, or no convexity.
@@ -177,5 +178,5 @@ class Ogden(ContinuedInJ):
 
     @property
     def _signs(self) -> list[int]:
-        """For each tensor variable, the sign of the exponents whose powers it gives."""
+        """For each tensor variable, the sign of the exponents that belong to it."""
         return [sign for sign in (1, -1) if any(alpha * sign > 0 for alpha in self.alpha)]

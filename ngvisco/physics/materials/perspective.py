@@ -1,13 +1,13 @@
 """Energies per referential volume or per mass, as convex energies per actual volume: perspectives.
 
-With A = 1/J = rho/rho_R, an energy psi per referential volume, J/m^3, gives phi = A psi per actual volume.
-An energy psi per mass, J/kg, gives phi = rho psi = rho_R A psi (paper: rem-referential, and the remark after
+Let A = 1/J = rho/rho_R. An energy psi per referential volume, J/m^3, gives phi = A psi per actual volume. An
+energy psi per mass, J/kg, gives phi = rho psi = rho_R A psi (paper: rem-referential, and the remark after
 ED-Euler-large that then T = rho psi'(F) F^T).  A polyconvex psi gives a phi that is not convex in F, Cof F
-and J (paper: exa-neo-Hookean-ref), but is convex in A, A F and A Cof F:
+and J (paper: exa-neo-Hookean-ref). But phi is convex in A, A F and A Cof F:
 
     phi(A, G, N) = A psi(G/A, N/A, 1/A),   G = A F,  N = A Cof F,
 
-is the perspective of psi, which is convex where psi is.  Therefore every polyconvex energy of the Lagrangian
+is the perspective of psi, which is convex if psi is.  Therefore every polyconvex energy of the Lagrangian
 theory can be used here.
 """
 
@@ -44,10 +44,10 @@ from ngvisco.words import Words, call
 class PerReferentialVolume(Material):
     """phi = psi/J with the energy psi of another material per referential volume (paper: rem-referential).
 
-    T = psi'(F) F^T/J, so that there is no stress at rest if psi is stationary at rest. phi is jointly convex
-    in A = 1/J and A times the material's tensors if psi is convex in the tensors and J. Raises ParameterError
-    for a material with other variables, or with an energy that has no expression (put ``Yosida`` around this
-    wrapper instead).
+    T = psi'(F) F^T/J, so that there is no stress at rest if psi is stationary at rest. If psi is convex in
+    the tensors and J, phi is jointly convex in A = 1/J and A times these tensors. Raises ParameterError for a
+    material with other variables, and for an energy without an expression (wrap this material into
+    ``Yosida`` instead).
 
     Example::
 
@@ -62,7 +62,7 @@ class PerReferentialVolume(Material):
     ----------
     material : Material
         Material of psi, with variables J = det F and tensors J^a F, J^a Cof F, J^a F F^T, J^a Cof(F F^T).
-        In place of a tensor X the wrapped material carries AX = X/J.
+        In place of a tensor X, this material carries AX = X/J.
     rho_R : float, optional
         Density where J = 1, which determines the initial density from J, or J from the density.
     """
@@ -142,9 +142,9 @@ class PerMass(PerReferentialVolume):
 
 
 _ROUNDING = 1e-9
-"""Size, relative to the largest second derivative, up to which a second derivative counts as rounding."""
+"""Size, relative to the largest second derivative, up to which a second derivative is rounding."""
 _SHEAR = 1e-3
-"""The simple shear whose energy gives a shear modulus."""
+"""Size of the simple shear whose energy gives a shear modulus."""
 _VOLUMES = np.linspace(0.5, 2.0, 31)
 """The values of J at which volumetric energies are compared."""
 
@@ -168,7 +168,7 @@ class ReferenceEnergy(Material):
 
     @classmethod
     def of(cls, material: Material, owner: str) -> ReferenceEnergy:
-        """The energy of a body's material without its thermal part and without that of cracks."""
+        """The energy of a body's material, without its thermal part and without the energy of cracks."""
         if isinstance(material, Damaged):
             return cls(material=WithoutCracks(material=material), owner=owner)
         if not isinstance(material, Thermal):

@@ -28,7 +28,7 @@ from ngvisco.physics.tensors import as_array
 SPRING = "spring"
 """Name of the branch that does not relax; the others are ``mode_1``, ``mode_2``, ..."""
 _SHEAR, _BULK = ("G_e", "G_mr", "G_h"), ("K_e", "K_h", "epsilon")
-"""Names of moduli that are shared among the branches, and of volume moduli, which only the first branch
+"""Names of moduli that are shared among the branches; and names of volume moduli, which only the first branch
 has."""
 
 
@@ -109,10 +109,10 @@ def prony_network(
 
 
 def read_prony(path: str | os.PathLike[str]) -> np.ndarray:
-    """The rows (g_i, tau_i), (n, 2), of a CSV file, without comments after # and a line of names.
+    """The rows (g_i, tau_i), (n, 2), of a CSV file. Comments after # and a line of names are left out.
 
-    Raises ParameterError for a file that cannot be read, with rows other than two numbers, or with names of
-    columns by which the times come first.
+    Raises ParameterError for a file that cannot be read, for rows that are not two numbers, and for names of
+    columns that say that the times come first.
     """
     return _table(number_rows("read_prony.path", path, timed=1).tolist())
 
@@ -145,7 +145,7 @@ def _shear_modulus(material: Any) -> tuple[Any, Literal["mandel", "conformation"
 
 
 def _scaled(material: Any, share: float, keeps_bulk: bool) -> Material:
-    """The material with a share of its shear moduli, and with all of its volume moduli or none."""
+    """The material with a share of its shear moduli, and with all of its volume moduli or with none."""
     changes = {name: share * getattr(material, name) for name in _SHEAR if hasattr(material, name)}
     if not keeps_bulk:
         changes |= {name: 0.0 for name in _BULK if hasattr(material, name)}

@@ -18,8 +18,9 @@ With the degradation g(d), the degraded energy a, T = theta_R exp(S/c) and the b
     e = (Gamma c)^2 (T - theta_R)^2/(2 (K + Gamma^2 c T)),
 
 which is the energy above for d = 0, and a function of S alone for d = 1: a broken body has no thermal stress.
-e is the elastic energy of a body that is clamped at J = 1 and heated.  Therefore a + A h + A e, which drives
-damage, is zero in a freely expanding body, to second order in the thermal strain, and else positive.
+e is the elastic energy of a body that is clamped at J = 1 and heated.  The energy a + A h + A e drives
+damage. In a freely expanding body it is zero, to second order in the thermal strain; in all other bodies it
+is positive.
 """
 
 import math
@@ -50,11 +51,11 @@ class Entropy(PerVolume):
 
     is_conserved = True
     own_scale = 1e4
-    """Size of s for tolerances, in heat capacities.  A change by 1e-9 of this size is 3 mK at 300 K,
-    and rounding is 1e-11 of this size.
+    """Size of s for tolerances, in heat capacities.  A change by 1e-9 of this size is 3 mK at 300 K; rounding
+    is 1e-11 of this size.
 
-    If temperatures differ by a hundredth, an increment of 1e-10 in every variable, for A = 1, changes the
-    energy above the energy at theta_R by 1e-8.
+    If temperatures differ by a hundredth and A = 1, an increment of 1e-10 in every variable changes the
+    energy above that at theta_R by 1e-8.
     """
 
 
@@ -76,12 +77,12 @@ def entropy_in(material: Material) -> Entropy | None:
 class Thermal(Material):
     """A material with a temperature: phi(z, s) is its internal energy, and theta = d phi/d s.
 
-    With ``expansion`` the thermal pressure is Gamma c (theta - theta_R) with Gamma c = K ``expansion``, where
-    K is the (isothermal) bulk modulus at rest of the material without heat. With ``gruneisen`` the thermal
-    pressure is Gamma c theta/J. Without another material this is an ideal gas with the adiabatic exponent 1 +
+    With ``expansion`` the thermal pressure is Gamma c (theta - theta_R) with Gamma c = K ``expansion``. K is
+    the (isothermal) bulk modulus at rest of the material without heat. With ``gruneisen`` the thermal
+    pressure is Gamma c theta/J; without another material this is an ideal gas with the adiabatic exponent 1 +
     Gamma. With ``p_infinity`` it is a stiffened gas, a model of liquids, whose pressure is lower by
-    ``p_infinity``. Raises ParameterError if a parameter is out of its range, parameters contradict one
-    another, or the material has heat already.
+    ``p_infinity``. Raises ParameterError if a parameter is out of its range, if parameters contradict one
+    another, or if the material has heat already.
 
     Example::
 
@@ -232,7 +233,8 @@ class Thermal(Material):
         return phi
 
     def taken(self, z: Values) -> tuple[Tensor, Tensor]:
-        """The degraded thermal energy A (h + e) and A e, Pa, with h and e of the module's docstring."""
+        """Two parts of the degraded thermal energy, Pa: A (h + e) and A e, with h and e of the module's
+        docstring."""
         A, heat, J = z["A"], self.c * self.theta_R, 1 / z["A"]
         ratio = exp(self.entropy.unit / self.c * z["s"] * J)
         bulk = self.coupling / self.expansion if self.expansion else 1.0
@@ -248,7 +250,7 @@ class Thermal(Material):
 
     @property
     def is_absolute(self) -> bool:
-        """Whether the thermal pressure is c Gamma theta/J, as of a gas, and not c Gamma (theta - theta_R)."""
+        """Whether the thermal pressure is c Gamma theta/J, as in a gas, and not c Gamma (theta - theta_R)."""
         return self.gruneisen is not None
 
     @property

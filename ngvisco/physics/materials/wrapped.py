@@ -1,4 +1,4 @@
-"""Materials that wrap another material: regularisations of the paper's discrete scheme, and carried
+"""Materials that wrap another material: the paper's regularisations of energies, and materials with carried
 parameters and plastic strains."""
 
 from __future__ import annotations
@@ -24,14 +24,15 @@ from ngvisco.physics.variables import ReciprocalJacobian, Values, Variable
 
 @dataclass(frozen=True, kw_only=True)
 class Carrying(Wrapper):
-    """phi(z, theta) + A phi_h(K/A): a material whose moduli read carried parameters theta, with the energy of
-    a carried plastic strain k = K/A if the material hardens; A = 1/J is then carried too.
+    """phi(z, theta) + A phi_h(K/A): a material whose moduli read carried parameters theta. If the material
+    hardens, the second term is the energy of the carried plastic strain k = K/A, and A = 1/J is carried too.
 
     ``Model`` makes this wrapper if a modulus of its laws is not a number, or a flow rule hardens.
     """
 
     carried: tuple[Parameter, ...] = ()
-    """Parameters that the material itself does not carry, of its moduli and of the model's other laws."""
+    """Parameters of the material's moduli and of the model's other laws, which the material does not
+    carry."""
     hardening: tuple[tuple[PlasticContent, Hardening], ...] = ()
     """Pairs of a carried plastic content and its energy, one for each branch that hardens."""
 
@@ -88,8 +89,8 @@ class WithQuadratic(Wrapper):
 
     The added term makes a convex energy strongly convex, and adds a stress of the order of sqrt(delta) at
     rest. The ledger has the added energy within ``stored``, and alone as ``stored_quadratic``.  Raises
-    ParameterError for a delta that is not positive and for names that the material has neither all by F nor
-    all by B, and UnknownNameError for an unknown variable.
+    ParameterError for a delta that is not positive, and for names that belong in part to the variables by F,
+    in part to those by B; raises UnknownNameError for an unknown variable.
 
     Parameters
     ----------
@@ -159,7 +160,7 @@ class WithQuadratic(Wrapper):
 class Yosida(Wrapper):
     """phi_eps(z) = min over y of phi(y) + |z - y|^2/(2 eps), over all strains jointly, at fixed parameters.
 
-    phi_eps is convex if phi is convex, phi_eps <= phi, and the slope phi_eps'(z) = (z - y)/eps = phi'(y) has
+    If phi is convex, phi_eps is convex and phi_eps <= phi. The slope phi_eps'(z) = (z - y)/eps = phi'(y) has
     a Lipschitz constant of at most 1/eps. phi_eps is finite for all z, also for J <= 0.  Stress and stiffness
     at rest change by O(eps): for phi = K z^2/2, K becomes K/(1 + eps K).
 
@@ -201,9 +202,9 @@ _MAX_HALVINGS = 40
 _CONVERGED = 1e-8
 """Relative size of the last Newton increment; by quadratic convergence the error is then rounding."""
 _ROUNDING = 1e-12
-"""Relative size below which a residual that no step reduces is rounding."""
+"""Relative size below which a residual is rounding, if no step reduces it."""
 _SHARE = 0.1
-"""The least factor by which a step multiplies a positive variable, and the variable's least start value."""
+"""Least factor by which a step multiplies a positive variable; also the least start value of the variable."""
 
 
 class _Approximation:
@@ -215,12 +216,12 @@ class _Approximation:
         self.rest = rest_state(material, dim)
         space = material.states(dim)
         self.weights = np.where(space.strains, material.eps, 0.0)
-        """eps for every component: 0 for parameters, which are fixed in the minimisation."""
+        """eps for every component; 0 for parameters, which are fixed in the minimisation."""
         scalars = (v for v in material.variables if v.kind == "scalar" and v.positive(CF(1.0)))
         places = (space.slices[v.name].start for v in scalars)
         self.positive = [i for i in places if not self._goes_on(i)]
-        """Components of y that must stay positive: J or A of an energy that is singular at 0 or undefined
-        below 0."""
+        """Components of y that must stay positive: J or A, if the energy is singular at 0 or undefined below
+        0."""
 
     def _goes_on(self, i: int) -> bool:
         states = np.tile(self.rest, (3, 1))
@@ -242,8 +243,8 @@ class _Approximation:
             where, z, S, H = (a[definite] for a in (where, z, S, H))
             H = np.linalg.solve(np.eye(size) + H * self.weights, H)
             H = 0.5 * (H + H.transpose(0, 2, 1))
-            # for small eps, phi'(y) has more correct digits than (z - y)/eps; the next lines correct rounding
-            # in y
+            # for small eps, phi'(y) has more correct digits than (z - y)/eps; here the slope S = phi'(y) is
+            # corrected for the rounding of y
             S = S + np.einsum("nij,nj->ni", H, z - y[solved][definite] - self.weights * S)
             energy[where] = at_y.energy[solved][definite] + 0.5 * (S * S) @ self.weights
             slope[where], hessian[where] = S, H
@@ -306,7 +307,7 @@ class _Approximation:
         return y, Response(energy, slope, hessian), solved
 
     def _start(self, z: np.ndarray) -> tuple[np.ndarray, Response]:
-        """The start y: z moved into the domain, or the rest state where z is still outside."""
+        """The start y: z moved into the domain; the rest state where the moved z is still outside."""
         y = z.copy()
         y[:, self.positive] = np.maximum(y[:, self.positive], _SHARE)
         at_y = self.inner(y)
@@ -317,7 +318,7 @@ class _Approximation:
         return y, at_y
 
     def _admitted(self, y: np.ndarray, d: np.ndarray) -> np.ndarray:
-        """The step length, at most 1, with which positive components keep at least the share ``_SHARE``."""
+        """The largest step length, at most 1, with which positive components keep the share ``_SHARE``."""
         y, d = y[:, self.positive], d[:, self.positive]
         return np.where(d < 0, (_SHARE - 1) * y / d, 1.0).min(axis=1, initial=1.0)
 
