@@ -57,8 +57,7 @@ class StateSpace:
     strains, by_flux : (size,) arrays of bool
         Masks of the components of strains (not of parameters), and of densities transported by their flux.
     densities : (size,) array
-        Mass per unit of each component: rho = sum densities_i z_i, kg/m^3. It is 0 if z_i is no amount of
-        matter.
+        Mass per unit of each component: rho = sum densities_i z_i, kg/m^3; 0 if z_i is no amount of matter.
     """
 
     def __init__(self, variables: tuple[Variable, ...], dim: int) -> None:
@@ -163,8 +162,7 @@ class Material(Checked, ABC):
         """Stored energy per actual volume, Pa, from the variables' values by name."""
 
     def with_elastic_state(self, state: ElasticState) -> Material:
-        """The material with variables by F or by B = F F^T, as ``state`` says; unchanged if its state is
-        fixed already."""
+        """The material by F or by B = F F^T, as ``state`` says; a material of fixed state is unchanged."""
         return self
 
     @property
@@ -184,8 +182,7 @@ class Material(Checked, ABC):
 
     @property
     def summed(self) -> tuple[tuple[str, ...], ...]:
-        """Groups of variables. phi is a sum of energies; each energy reads one group, and variables that are
-        in no group."""
+        """Groups of variables. phi is a sum of energies; each reads one group and the variables in none."""
         return ()
 
     @property
@@ -195,8 +192,7 @@ class Material(Checked, ABC):
 
     @property
     def curved_part(self) -> Material:
-        """A material of some of the variables, whose energy has the second derivative phi'' of this
-        material."""
+        """A material of some of the variables; its energy has the phi'' of this material."""
         return self
 
     @property
@@ -207,8 +203,7 @@ class Material(Checked, ABC):
 
     @property
     def continued(self) -> frozenset[str]:
-        """Names of variables whose bounds (``Variable.positive``) need not hold, because the energy is
-        continued beyond them.
+        """Names of variables with an energy that is continued beyond their bounds (``Variable.positive``).
 
         The parameter J_min and a Yosida approximation make an energy continued. An energy that merely has
         values at J <= 0, such as (J - 1)^2, is not continued: J <= 0 means interpenetration.
@@ -262,16 +257,13 @@ class Material(Checked, ABC):
         return None
 
     def parted(self, z: Values) -> Values:
-        """Shares of the motion at an interface that other matter takes, by the names of variables. All other
-        shares are 0."""
+        """Shares of the motion at an interface that other matter takes, by variables. Others are 0."""
         return {}
 
     def rate(self, variable: Variable, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
-        """The rate rate(z; L, Pi) of a variable. For a density it omits the part -(tr L) z, which the flux
-        contains.
+        """The rate of a variable at (z; L, Pi). The rate of a density omits -(tr L) z, a part of its flux.
 
-        If ``z`` has ``PARTED`` and ``INTERFACE``, n x n, the strain rates on both sides of this interface
-        differ.
+        If ``z`` has ``PARTED`` and ``INTERFACE``, n x n, strain rates differ across this interface.
         """
         share = self.taking_part(z).get(variable.name)
         if share is not None:
@@ -412,8 +404,7 @@ def mandel_stress(
 
 
 def volume_ratio(material: Material, z: Values) -> Tensor:
-    """J from the first scalar that determines J; without such a scalar, from the first tensor whose
-    determinant does."""
+    """J from the first scalar that determines J, else from the first tensor whose determinant does."""
     variables = sorted(material.variables, key=lambda v: v.kind != "scalar")
     ratios = (v.volume_ratio(z[v.name]) for v in variables)
     power, exponent = next(ratio for ratio in ratios if ratio is not None and abs(ratio[1]) > 1e-12)

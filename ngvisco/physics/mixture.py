@@ -234,10 +234,9 @@ class Mixture(Material):
         return {name: psi.stiffness + of_heat.get(name, 0.0) for name, psi in self.energies.items()}
 
     def positive(self, z: Values) -> dict[str, Values]:
-        """Functions of a state that must be > 0.
-
-        They are N; for a common pressure, sum n_i/U_i'' if the U_i differ; sum n_i c_i with heat. If an f_i
-        is nonlinear or a body hardens or breaks, each amount n_i plus half of its trace is one of them."""
+        """Functions of a state that must be > 0: N; if the U_i differ, sum n_i/U_i'', for a common pressure;
+        with heat, sum n_i c_i. If an f_i is nonlinear or a body hardens or breaks, each amount n_i plus half
+        of its trace must be > 0, too."""
         n, total = self.amounts(z), self.fractions.total(z)
 
         def above(share: float, sizes: Sequence[float]) -> Any:
@@ -348,8 +347,7 @@ class Mixture(Material):
         return {DAMAGE.name: self.damages[body].damage.name} if body in self.damages else {}
 
     def own(self, body: str, z: Values) -> dict[str, Any]:
-        """The values ``z``, with the body's own variables also under the names that the body's energy
-        uses."""
+        """The values ``z``, with the body's own variables also under their names in the body's energy."""
         return {**z, **{name: z[carried] for name, carried in self.own_names(body).items()}}
 
     def shears(self, z: Values) -> dict[str, Any]:
