@@ -1,31 +1,31 @@
-"""Bounds of a state, rho > 0, positive functions of its variables, a cut-off's bound, and their limiter.
+"""Bounds of a state and their limiter: rho > 0, positive functions of the variables, a cut-off's bound.
 
 A discontinuous polynomial may be negative at a point of a cell whose mean is positive.  Such a state is
 corrected by scaling towards the cell's mean (Zhang and Shu, J. Comput. Phys. 229, 2010),
 
     rho <- rho_K + s (rho - rho_K),     z <- z_K + s (z - z_K),     0 <= s < 1,
 
-where z are the strains. rho and z have a factor s each: the largest s, found by bisection, with which rho, or
-each bound of z, is at least ``SHARE`` of its value for the means. Means are taken with the forms' rule, so
-that mass is kept to rounding. One s for all of z reduces a convex stored energy, by Jensen's inequality for
-this rule:
+where z are the strains. rho and z have a factor s each. For rho it is the largest s, found by bisection, with
+which rho is at least ``SHARE`` of its mean. For z each bound has to be at least ``SHARE`` of its value for
+the means. Means are taken by the rule of the forms, so that mass is kept to rounding. One s for all of z
+reduces a convex stored energy, by Jensen's inequality for this rule:
 
     int_K phi(z_K + s (z - z_K)) <= s int_K phi(z) + (1 - s) |K| phi(z_K) <= int_K phi(z).
 
 With bodies rho = sum rho_i n_i is a function of z, and a bound of rho is a bound of z.  Parameters are
 limited to their ranges (``ngvisco.forms.cell_means``) before all else.
 
-Variables of one distortion may drift apart: J differs from det F of a tensor.  phi(F, J) at det F < J is
-below its value at rest, so that rest energy would become motion.  A state with |det F/J - 1| above
-``TimeSteps.drift`` in the mean of a cell is not admitted.
+Variables of one distortion may drift apart, so that J differs from det F of a tensor.  phi(F, J) at det F < J
+is below its value at rest, and rest energy would become motion.  A state is refused if |det F/J - 1| is above
+``TimeSteps.drift`` in the mean of a cell.
 
 The momentum density p = rho v is scaled by the factor s of rho (``limit_momentum``). |p|^2/(2 rho) is jointly
 convex, so that the limiter also lowers the kinetic energy if rho was not negative.  The limiter does not
 change the motion of a body in translation; limiting rho at a fixed momentum would change this motion.
 
-Only a mean out of bounds cannot be corrected; the step is then given up.  Two kinds of bounds do not count:
-bounds of variables for which the material's energy is continued (``Material.continued``: a Yosida
-approximation, J_min), and, in a cell where phi'_z = 0, bounds of the variable z.  Bounds in
+A mean out of bounds cannot be corrected, and the step is then given up.  Two kinds of bounds do not count.
+The first are bounds of variables for which the material's energy is continued (``Material.continued``: a
+Yosida approximation, J_min). The second are bounds of the variable z in a cell where phi'_z = 0.  Bounds in
 ``Material.where_means_do`` count only in cells whose means satisfy them, so that they end no step.
 
 A cut-off adds the bound rho_max + width - rho > 0 (paper: Euler-small-est3+++), if the start of the run
@@ -58,11 +58,11 @@ SMALLER = "a smaller step or a finer mesh"
 """Advice in messages about a state out of bounds."""
 
 _HALVINGS = 45
-"""Number of halvings of the interval of s, which determine s to rounding, so that a limited state depends
+"""Number of halvings of the interval of s. It determines s to rounding, so that a limited state depends
 continuously on the state before limiting."""
 
-_ON_WALL = 1e-9  # distance below which a point counts as on a wall, over the size of its cell
-_UNREAD = 1e-14  # size of phi' by a variable that counts as zero, over the median size of phi'
+_ON_WALL = 1e-9  # distance below which a point is on a wall, divided by the size of its cell
+_UNREAD = 1e-14  # size of phi' by a variable that counts as zero, divided by the median size of phi'
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Violation:
     quantity: str
     """Name of the bounded quantity: ``"rho"``, ``"J"``, ``"det F"``, ..."""
     value: float
-    """Least value of the quantity, kg/m^3 for rho, else 1."""
+    """Least value of the quantity: in kg/m^3 for rho, without unit for all other quantities."""
     is_mean: bool
     """Whether the value is a cell's mean, and not a value at a point."""
     cell: int | None
@@ -80,7 +80,7 @@ class Violation:
     point: tuple[float, ...]
     """Point of the value, m, or the midpoint of the cell for a mean."""
     wall: str | None
-    """Nearest boundary, at ``distance``, m, 0 on it; None in a domain without boundary."""
+    """Nearest boundary, whose distance is ``distance``, m, 0 on it; None in a domain without boundary."""
     distance: float
     cells: int
     """Number of cells out of bounds."""
@@ -120,7 +120,7 @@ class _Outside:
 class Bounds:
     """Finds violations of bounds by a step's present state, at the sampler's points, and limits the state.
 
-    With ``limits`` only means out of bounds are a ``violation``; without a limiter all values count.
+    If ``limits`` is True, only means out of bounds are a ``violation``; without a limiter all values count.
     """
 
     def __init__(self, step: Step, sampler: Sampler, limits: bool = True, most: float = DRIFT) -> None:
@@ -155,7 +155,7 @@ class Bounds:
         self.parted: str | None = None
         """Message of the last ``drift``, or None."""
         self.takes_energy = False
-        """Whether the last ``limit`` changed more than tensors of linear energies."""
+        """Whether the last ``limit`` changed anything but tensors of linear energies."""
 
     def _bounds(
         self, rho: CoefficientFunction, z: Values
@@ -203,11 +203,12 @@ class Bounds:
         return self._worst(outside, broken, outside.means, is_mean=True) if some else None
 
     def defect(self, is_solved: bool = True) -> str | None:
-        """Message that the present state is not admissible, or None: rho, J, ... or the temperature is not
-        positive, or a value is not a number.  A state out of bounds is kept as ``refused``.
+        """Message that the present state is not admissible; None if it is.
 
-        If ``is_solved`` is True, the state must have a stored energy. The extrapolated end of a step may have
-        no energy before it is limited, so that ``lack`` checks its energy after the limiter.
+        A state is not admissible if rho, J, ... or the temperature is not positive, or if a value is not a
+        number.  A state out of bounds is kept as ``refused``.  If ``is_solved`` is True, the state must have
+        a stored energy. The extrapolated end of a step may have no energy before it is limited, so that
+        ``lack`` checks its energy after the limiter.
         """
         violation = self.violation()
         if violation is not None:
@@ -226,9 +227,9 @@ class Bounds:
         return f"{defect}; take {better}"
 
     def lack(self) -> str | None:
-        """Message where the present state, or its stored energy, is not a number; None if all are numbers.
+        """Message about the place where the present state, or its stored energy, is not a number; else None.
 
-        The check of the energy covers density and variables, whose NaN makes the energy NaN.
+        The check of the energy covers density and variables, because their NaN makes the energy NaN.
         """
         where = self.step.without_energy()
         if self._ranks.any(len(where) > 0):
@@ -239,11 +240,13 @@ class Bounds:
         return f"the unknown {bad[0]!r} of the state is not a number somewhere" if bad else None
 
     def drift(self) -> str | None:
-        """Message that variables of one distortion differ by more than ``most`` in the mean of a cell. The
-        result is None if no variables do, and in a run with sources, where the variables may differ."""
+        """Message that variables of one distortion differ by more than ``most`` in the mean of a cell.
+
+        The result is None if no variables do. It is None also in a run with sources, where variables may
+        differ."""
         self._outside()
         if self.step.sources is not None or not self._ranks.any(not self._farthest <= self.most):
-            return None  # a mean has no larger drift than the points of its cell
+            return None  # the mean of a cell has no larger drift than the cell's points
         for pair, drift in self._drifts.items():
             means = abs(self.step.quadrature.each_cell(drift)) / self._volumes
             far = np.flatnonzero(means > self.most)
@@ -260,7 +263,8 @@ class Bounds:
     def nearest(self) -> str | None:
         """The nearest bound of the energy's domain in words, with its least value and the place.
 
-        Nearness is relative to the value at rest.  None for an energy without bounds of its own.
+        Nearness is relative to the value at rest.  The result is None for an energy without bounds of its
+        own.
         """
         material, z, points = self.step.model.material, self.step.now.z_tensors, self.sampler
         domain = material.domain(z)
@@ -297,9 +301,9 @@ class Bounds:
     def limit(self, tau: float = 0.0) -> int:
         """Limit the present state, whose means are within their bounds; return the number of limited cells.
 
-        Only rho and z change, and only in cells that are out of bounds at a point.  ``tau`` is the
-        length, s, of the step that ends in the state, or 0.  If ``tau`` is not 0, ``Discretisation.sharp``
-        first separates the bodies.
+        Only rho and z change, and only in cells that are out of bounds at a point.  ``tau`` is the length, s,
+        of the step that ends in the state; for a state that no step ends in, it is 0.  If ``tau`` is not 0,
+        ``Discretisation.sharp`` first separates the bodies.
         """
         if self.sharpening is not None and tau > 0:
             self.sharpening.put_apart(tau)
@@ -374,8 +378,8 @@ class Bounds:
         )
 
     def _required(self, count: int, points: np.ndarray, owner: np.ndarray) -> np.ndarray:
-        """Mask of the bounds that count in each cell, (cells, bounds): bounds of variables with phi'_z = 0 do
-        not count."""
+        """Mask of the bounds that count in each cell, (cells, bounds). Bounds of a variable z with phi'_z = 0
+        do not count."""
         required = np.ones((count, len(self.names)), dtype=bool)
         if self.step.energy.projected is not None:  # the energy has values at the quadrature points only
             return required
@@ -425,8 +429,8 @@ class Bounds:
     def _violation(
         self, quantity: str, value: float, cell: int, place: np.ndarray, is_mean: bool = False
     ) -> tuple[Violation, float]:
-        """A violation on this rank, whose wall and number of cells are not known yet, and the size of its
-        cell, m."""
+        """A violation on this rank, and the size of its cell, m. Wall and number of cells are not known
+        yet."""
         point, number = tuple(float(c) for c in place), number_of(self.step.mesh, cell)
         violation = Violation(quantity, value, is_mean, number, point, wall=None, distance=np.inf, cells=0)
         return violation, float(self.step.context.h.vec[cell])

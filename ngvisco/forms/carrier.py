@@ -20,7 +20,7 @@ from ngvisco.physics.parameters import Parameter
 from ngvisco.physics.tensors import inner
 
 TOLERANCE, ENOUGH, ITERATIONS = 1e-12, 1e-9, 200
-"""The linear systems' tolerance, the relative residual that is still accepted because of rounding, and the
+"""The linear systems' tolerance; the relative residual that is still accepted because of rounding; and the
 largest number of iterations."""
 
 
@@ -45,8 +45,8 @@ class _Growth(Rates):
 class Carrier:
     """Solves f/tau + (v . grad) f - A f = f_old/tau + source, with one matrix for many fields.
 
-    Fields have the form of transport of the material's variables (``ngvisco.forms.terms.transport``).  The
-    unknowns in cells are condensed, so that the system has the traces between cells alone.
+    Fields have the same form of transport as the material's variables (``ngvisco.forms.terms.transport``).
+    The unknowns in cells are condensed, so that the system has the traces between cells alone.
     """
 
     def __init__(
@@ -58,8 +58,8 @@ class Carrier:
     ) -> None:
         """``rate`` is A, a scalar or (dim, dim), None for A = 0; ``vector`` fields have dim components.
 
-        With a ``velocity`` of their own the fields have a step of their own, ``tau``; otherwise velocity and
-        step are those of the present state.
+        If ``velocity`` is given, the fields have this velocity, and the step ``tau`` of their own. Otherwise
+        they have the velocity and the step of the present state.
         """
         mesh, order = step.mesh, step.discretisation.k
         self.vector, self.cells = vector, cells_of(mesh, order, vector)
@@ -110,7 +110,7 @@ class Carrier:
             pre = self._preconditioner.mat
             solver = GMRESSolver(form.mat, pre, tol=TOLERANCE, maxiter=ITERATIONS, printrates=False)
             solution.vec.data = solver * reduced
-            # a body at rest takes a single iteration, for which GMRES lists no residual
+            # GMRES lists no residual for a single iteration, as for a body at rest
             rest = (reduced - form.mat * solution.vec).Evaluate()
             self._traces.Project(rest)
             is_solved = bool(rest.Norm() <= ENOUGH * reduced.Norm())

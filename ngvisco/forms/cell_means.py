@@ -3,21 +3,22 @@
 ``Ranges`` keeps parameters within the range of their start values.
 
 A parameter is transported, dt theta + (v . grad) theta = 0, so that its exact solution stays within the range
-of its start; a discontinuous polynomial overshoots at jumps.  In a cell with a point out of range the
+of its start values. A discontinuous polynomial overshoots at jumps.  In a cell with a point out of range, the
 parameter's mean is clipped to the range, and the parameter is scaled towards its mean (Zhang and Shu, J.
 Comput. Phys. 229, 2010).
 
 ``Stretches`` keeps tensors of bodies positive if the bodies' energies are linear in the tensors and therefore
 do not keep them positive.
 
-Body i carries n_i and X_i = n_i B, and C : (X_i - n_i I) has no minimum where X_i is not positive: such
-matter stretches without bound.  In a cell of the body where X_i is not positive at a point but its mean is
-positive, B moves towards the B of the means,
+Body i carries n_i and X_i = n_i B. Its energy C : (X_i - n_i I) has no minimum where X_i is not positive:
+such matter stretches without bound.  In a cell where X_i is not positive at a point but its mean is positive,
+B moves towards the B of the means,
 
     X_i <- s X_i + (1 - s) (n_i/n_iK) X_iK,
 
-with the largest s that leaves ``SHARE`` of the second summand at each such point.  n_i, the mean of X_i, an
-energy linear in X_i, rho and v do not change: this limiter takes no energy.
+with the largest s that leaves ``SHARE`` of the second summand at each such point.  The limiter does not
+change n_i, the mean of X_i, rho and v. It does not change an energy linear in X_i either, so that it takes no
+energy.
 """
 
 from functools import cached_property
@@ -37,8 +38,8 @@ from ngvisco.physics.parameters import Parameter
 SHARE = 1e-2
 """Least value of a bounded quantity at the points of a limited cell, relative to its value for the mean.
 
-A cell is limited only if a bounded quantity is <= 0 at a point, not if the quantity is only below this share
-of the mean: a density that falls to zero along a line stays unchanged.
+A cell is limited only if a bounded quantity is <= 0 at a point. It is not limited if the quantity is only
+below this share of the mean: a density that falls to zero along a line stays unchanged.
 """
 
 
@@ -100,7 +101,8 @@ class CellMeans:
 
 
 def least_of(values: np.ndarray, owner: np.ndarray, count: int) -> np.ndarray:
-    """Minimum of every column over the points of every owner, (count, columns); inf without points."""
+    """Minimum of every column over the points of every owner, (count, columns); inf for an owner without
+    points."""
     least = np.full((count, values.shape[1]), np.inf)
     np.minimum.at(least, owner, values)
     return least
@@ -182,8 +184,8 @@ class Stretches:
         return np.unique(np.concatenate([np.zeros(0, dtype=int), *[self._limited(X) for X in self._amounts]]))
 
     def _outside(self, content: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Points where X_i of a participating body is not positive, the cells of these points, and B of the
-        cells' means."""
+        """Three arrays: the points where X_i of a participating body is not positive, the cells of these
+        points, and B of the cells' means."""
         signs = self.sampler.rows(self._signs[content])
         points = np.flatnonzero((signs[:, 0] > 0) & ~(signs[:, 1:] > 0).all(axis=1))
         if self.sampler.ranks.any(len(points) > 0):

@@ -56,7 +56,7 @@ class Crossing(Protocol):
 
 
 class Context:
-    """Parameters and known fields of a Rothe step: (rho, m, z)_old to (rho, m, z) by one length tau.
+    """Parameters and known fields of a Rothe step from (rho, m, z)_old to (rho, m, z), of one length tau.
 
     m is the momentum functional <m, w> = int rho v . w.  The old values are a state, or a time scheme's
     combination of several states (``ngvisco.timestepping``).
@@ -82,10 +82,10 @@ class Context:
         self.energy = energy or StoredEnergy(model.material, mesh.dim)
         self.rates = Rates(model, mesh.dim, old.layout.symmetry.is_axisymmetric)
         self.recovered_slopes: dict[Interface, CoefficientFunction] = {}
-        """Slopes of the quantities that mark interfaces, for fields that are constant in cells
-        (``RecoveredSlope``)."""
+        """Slopes of the quantities that mark interfaces (``RecoveredSlope``), for fields that are constant in
+        cells."""
         self.lagged: UnknownValues = old
-        """Fields at the step's start, for the variables that the material lags."""
+        """Fields at the step's start; conjugates read the material's lagged variables in them."""
         self.terms: Sequence[Any] = ()
         """The terms of the step, ``ngvisco.forms.term.Term``."""
         self._momentum_old = momentum_old
@@ -97,7 +97,7 @@ class Context:
         self._averaged: tuple[float, float, float] | None = None
         self._has_warned = False
         self.curvature = Parameter(1e-6)
-        """Curvature of v below which the interior penalty stops following hess v, 1/(m s)."""
+        """Size of hess v below which the interior penalty does not depend on hess v, 1/(m s)."""
         self.normal = specialcf.normal(mesh.dim)
         self.inner = inner_facets(mesh)
         self.h = cell_size(mesh)
@@ -109,7 +109,7 @@ class Context:
             self.crossed = self.inner + sum((passage.indicator for passage in passages), CF(0.0))
             if old.layout.unknowns["z"].order:
                 self.reach = from_middle(mesh)
-            for wall in passages:  # a tilted average of a positive density may be negative
+            for wall in passages:  # an average with a tilted weight may be negative for a positive density
                 wall.means = wall.given.mapped(partial(self.average, walls=wall.region, is_even=True))
 
     @property
@@ -199,7 +199,7 @@ class Context:
         return _shaped(self._means[key][0], value)
 
     def average_now(self, value: CoefficientFunction) -> CoefficientFunction:
-        """The present mean in cells of a function that no form holds, without later updates."""
+        """The present mean in cells of a function that no form contains; later steps do not update it."""
         if (value, "", False) in self._means or not may_read_time(value):
             return self.average(value)
         return _shaped(self._mean(value, None)[0], value)

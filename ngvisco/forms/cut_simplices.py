@@ -1,5 +1,5 @@
-"""Half-spaces that cut simplices: shares of volume, places of planes, and values at the earlier places of
-matter.
+"""Half-spaces that cut simplices: shares of volume, places of planes, values of functions at the places that
+matter had before a step.
 
 Let a linear function have the values v_i at the vertices of a simplex of dimension d. The function is > 0 in
 the share s of the simplex:
@@ -7,8 +7,8 @@ the share s of the simplex:
     s = sum over the v_i > 0 of v_i^d / prod_{j != i} (v_i - v_j)
 
 If a vertex is given twice, s is the share of the volume with the weight (d + 1) lambda of this vertex.  With
-a linear weight w, such as r about an axis, the share of the volume is therefore sum_c w_c s_c / sum_c w_c,
-where s_c has vertex c twice.
+a linear weight w, such as r about an axis, the share of the volume is therefore sum_c w_c s_c / sum_c w_c;
+here s_c is s with vertex c given twice.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ values."""
 def share_above(values: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
     """Share of simplices in which linear functions with ``values`` at the vertices, (..., vertices), are > 0.
 
-    ``values`` have no unit.  ``weights`` are the values at the vertices of a linear weight of volumes, None
-    for the weight 1.
+    ``values`` have no unit.  ``weights`` are the vertex values of a linear weight of volumes; None stands for
+    the weight 1.
     """
     if weights is not None:
         doubled = [
@@ -40,16 +40,16 @@ def share_above(values: np.ndarray, weights: np.ndarray | None = None) -> np.nda
     spread = _APART * np.maximum(np.ptp(values, axis=-1, keepdims=True), NO_INTERFACE)
     values = values + spread * np.arange(count)
     most = (values > 0).sum(axis=-1, keepdims=True) > count / 2
-    values = np.where(most, -values, values)  # few large summands, which do not cancel
+    values = np.where(most, -values, values)  # so that few summands are large, and they do not cancel
     differences = values[..., :, None] - values[..., None, :] + np.eye(count)
     part = (np.maximum(values, 0.0) ** (count - 1) / differences.prod(axis=-1)).sum(axis=-1)
     return np.where(most[..., 0], 1 - part, part)
 
 
 def level(heights: np.ndarray, theta: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
-    """Levels that linear functions with the values ``heights``, (cells, corners), exceed in the share
-    ``theta``, (cells,), of their cells; ``weights`` are those of ``share_above``.
+    """Levels that linear functions exceed in the share ``theta``, (cells,), of their cells.
 
+    ``heights``, (cells, corners), are the functions' values; ``weights`` are those of ``share_above``.
     ``heights`` may also be (cells, pieces, corners) for functions that are linear in equal pieces of a cell.
     """
     if heights.ndim == 2:
@@ -74,11 +74,11 @@ def level(heights: np.ndarray, theta: np.ndarray, weights: np.ndarray | None = N
 
 
 def before(values: np.ndarray, path: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-    """Values of linear functions, (cells, corners), at the places before the step of the matter at the
-    corners.
+    """Values of linear functions, (cells, corners), at the places from which the step has moved the matter to
+    the corners.
 
     ``values`` are the values at corners, ``path`` is the velocity at corners times the step, (cells, corners,
-    dim), and ``slopes`` are the slopes of the barycentric coordinates.  The error of a rigid turn by the
+    dim), and ``slopes`` are the slopes of the barycentric coordinates.  The error for a rigid rotation by the
     angle phi is of order phi^3.
     """
     turning = np.einsum("kcd,kce->kde", path, slopes)

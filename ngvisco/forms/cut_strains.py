@@ -1,8 +1,8 @@
 """Tensors of bodies with sharp interfaces: slopes in cut cells, and determinants that follow from the volume.
 
-The rates of B and J keep det B = J^p, since tr Pi = 0; here J = 1/N. The mean of the tensors of unequally
-strained matter has a larger determinant, and no flow takes this mean back to I. Without restored
-determinants, a body that has recovered its shape would therefore keep a strain.
+The rates of B and J keep det B = J^p, since tr Pi = 0; here J = 1/N. If matter is strained unequally, the
+mean of its tensors has a larger determinant, and no flow takes this mean back to I. A body that has recovered
+its shape would therefore keep a strain, unless determinants are restored.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ _LEAST_DET = 0.05
 def quotients(amount: np.ndarray, X: np.ndarray, total: np.ndarray) -> np.ndarray:
     """Linear B, values at corners of cells, (components, cells, corners): X/n projected with the weight n.
 
-    ``amount`` has the values of n, (cells, corners), and ``X`` those of its tensors; corners with n < 0 are
-    left out. B stays bounded where n vanishes, because a trace of the mean amount of all matter, ``total``,
-    (cells,), is added with the mean of X/n.  If X is n times a constant, B is this constant.
+    ``amount`` has the values of n, (cells, corners), and ``X`` has the values of its tensors. Corners with n
+    < 0 are left out. So that B stays bounded where n vanishes, a trace of the mean amount of all matter,
+    ``total``, (cells,), is added with the mean of X/n.  If X is n times a constant, B is this constant.
     """
     trace, one = LEAST * total, np.eye(amount.shape[1])
     X, amount = np.where(amount > 0, X, 0.0), np.maximum(amount, 0.0) + trace[:, None]
@@ -54,16 +54,17 @@ class Determinants:
         ]
         """Components of each X_i, their basis, and the power p of det B = J^p."""
         self._strained = 3 if layout.symmetry.is_axisymmetric else layout.states.dim
-        """Number of directions in which matter is strained; the third is not in plane strain."""
+        """Number of directions in which matter is strained: 2 in plane strain, else 3."""
         self._is_uniform = not material.parameters
         """Whether the energies have the same moduli everywhere."""
         self._ranks = ranks
 
     def restore(self, u: np.ndarray, masses: np.ndarray) -> None:
-        """Bring det B to its value in place, for values ``u`` at corners, (components, cells, corners), with
-        the integrals ``masses``, (cells, corners).
+        """Change ``u`` in place so that det B has its value at all corners.
 
-        Where det B is too small, only a share of the change is made, so that the energy does not rise.
+        ``u`` has values at corners, (components, cells, corners), with the integrals ``masses``, (cells,
+        corners).  Where det B is too small, only a share of the change is made, so that the energy does not
+        rise.
         """
         total, d = u[self._amounts].sum(axis=0), self._strained
         for n, tensors in zip(self._amounts, self._tensors, strict=True):

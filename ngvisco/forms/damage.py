@@ -5,31 +5,30 @@ change by a continuous, piecewise linear delta, d = d* + delta and q = q* + G de
 
     int phi(z, d* + delta, q* + G delta) + sum_i m_i eta delta_i^2/(2 tau)      for low <= delta <= high,
 
-with lumped masses m_i, and G delta = grad delta, or F^T grad delta for the referential slope.  ``low`` is 0,
-so that damage never falls; with healing it is -d*, and eta is the viscosity of healing where delta_i < 0.
-``high`` is 1 - d*, the minimum over a vertex' cells, so that d <= 1 at all points.  phi is
-quadratic in (d, q).  With the second derivative H of phi, and the slope r at the minimum, which includes the
-viscosity's slope,
+with lumped masses m_i. G delta is grad delta, or F^T grad delta for the referential slope.  ``low`` is 0, so
+that damage never falls. With healing ``low`` is -d*, and eta is the viscosity of healing where delta_i < 0.
+``high`` is the minimum of 1 - d* over a vertex' cells, so that d <= 1 at all points.  phi is quadratic in (d,
+q).  Let H be the second derivative of phi, and r the slope at the minimum with the viscosity's slope. Then
 
     E* - E = sum_i m_i eta delta_i^2/tau + delta.H delta/2 - r.delta
 
-exactly: ``dissipation_damage``, a Bregman distance, and the work of the bounds d = 1 and d = 0.
-r_i delta_i <= 0 by the signs at the bounds, and 0 at low = 0: ``bregman_damage`` >= 0 is the sum of distance
-and work.
+exactly. The three summands are ``dissipation_damage``, a Bregman distance, and the work of the bounds d = 1
+and d = 0. By the signs at the bounds r_i delta_i <= 0; at low = 0 it is 0. The sum of distance and work is
+``bregman_damage`` >= 0.
 
 In the step the conjugates of z are phi'_z(z; d_old, q_old), and those of (d, q) are phi'_(d,q)(z; d, q)
 (``StoredEnergy``).  The step's ``bregman`` is therefore the sum of two distances
 
     phi(z_old; d_old) - phi(z; d_old) - phi'_z(z; d_old):(z_old - z)   and the distance of (d, q) at z,
 
-both >= 0, although phi is not jointly convex.
+both >= 0, although phi is not jointly convex in (z, d, q).
 
 For each step the ledger has the growth at a point and the new surface of cracks. A crack that runs within
 one step has the stress of the step's start, so that the breaking load depends on the step's length.
 
-Bodies that break have a damage each.  Their volumes are held while damages grow: phi is then quadratic in
-(d, q), and the equilibrium of pressure after the growth releases more energy, which ``bregman_damage``
-contains (``HeldVolumes``).
+If several bodies break, each has a damage.  Their volumes are held while damages grow, so that phi is
+quadratic in (d, q). The equilibrium of pressure after the growth releases more energy, which
+``bregman_damage`` contains (``HeldVolumes``).
 
 With heat, the dissipation xi by the viscosity of damage raises the entropy of each cell by c_K xi tau/theta,
 where c_K makes the cell's energy rise by tau int_K xi, to rounding.
@@ -80,19 +79,19 @@ from ngvisco.physics.parameters import substituted
 from ngvisco.words import Mention, Words
 
 DISSIPATION, BREGMAN = "dissipation_damage", "bregman_damage"
-"""Ledger columns of the dissipation by growing damage, W, and of the numerical dissipation in the damage's
+"""Two ledger columns: the dissipation by growing damage, W, and the numerical dissipation in the damage's
 half of the step, J a step."""
 
 GROWTH, CRACKED = "damage_growth", "crack_growth"
-"""Ledger columns of the largest growth of d at a point in a step, and of the area of new cracks in a step
-(their energy over G_c), m^2, or m in two dimensions."""
+"""Two ledger columns: the largest growth of d at a point in a step; and the area of new cracks in a step,
+m^2, or m in two dimensions, which is their energy divided by G_c."""
 
 
 _POWER, _PRODUCTION = "power_heat_damage", PRODUCTION + "damage"
-"""Ledger columns of the heat from damage, W, and of its entropy, W/K."""
+"""Two ledger columns: the heat from damage, W, and the entropy of this heat, W/K."""
 
 _NEWTON, _ROUNDING = 10, 1e-15
-"""Largest number of Newton steps for c_K, and the largest accepted defect, relative to the energy."""
+"""Largest number of Newton steps for c_K; and the largest accepted defect, relative to the energy."""
 
 
 class Breaking(Protocol):
@@ -115,7 +114,7 @@ class DamageGrowth:
     """Growth of the damages of a step's present state, of a material or of each body that breaks.
 
     Every rank solves the problem of all vertices.  Raises ParameterError for fields that are not linear in a
-    cell, cells that are not straight simplices, or a regularisation that diffuses the material's variables.
+    cell, cells that are not straight simplices, and a regularisation that diffuses the material's variables.
     """
 
     def __init__(self, step: Breaking) -> None:
@@ -216,10 +215,10 @@ class DamageGrowth:
             self._add(field, np.clip(sums / np.maximum(counts, 1), 0.0, 1.0))
 
     def __call__(self, tau: float) -> tuple[dict[str, float], dict[str, float]]:
-        """Let the damages grow over ``tau``, s; return dissipations, W, with ``GROWTH`` and ``CRACKED``, and
-        numerical dissipations, J, by columns.
+        """Let the damages grow over ``tau``, s. Return two dictionaries by columns: dissipations, W, with
+        ``GROWTH`` and ``CRACKED``; and numerical dissipations, J.
 
-        Raises StepError if there is no minimum, for an energy that is not convex in the damage.
+        Raises StepError if there is no minimum, because the energy is not convex in the damage.
         """
         if self._held is not None:
             self._held.refresh()
@@ -242,8 +241,8 @@ class DamageGrowth:
         return rates, {BREGMAN: distance}
 
     def _grow(self, field: _GrowingField, tau: float) -> tuple[np.ndarray, float, float, float]:
-        """Let one damage grow; return the dissipated energy by vertices, J, and the numerical dissipation, J,
-        the largest growth at a point and the area of new cracks."""
+        """Let one damage grow. Return the dissipated energy by vertices, J; the numerical dissipation, J; the
+        largest growth at a point; and the area of new cracks."""
         law = field.law
         H = self._all.matrix(csr(field.hessian.Assemble().mat))
         f = self._all.sum(field.force.Assemble().vec.FV().NumPy().copy())
@@ -296,8 +295,8 @@ class _GrowingField:
     def __init__(
         self, step: Breaking, space: Any, law: Damaged, names: tuple[str, str], weight: Any, driving: Any
     ) -> None:
-        """``names`` are those of damage and slope, ``weight`` the reference volume per actual volume, and
-        ``driving`` the energy that the damage degrades, Pa."""
+        """``names`` are the names of damage and slope, ``weight`` is the reference volume per actual volume,
+        and ``driving`` is the energy that the damage degrades, Pa."""
         self.step, self.law = step, law
         z, slices = step.now.z_tensors, step.layout.states.slices
         self.damage, q = z[names[0]], z[names[1]][:, 0]
@@ -319,7 +318,7 @@ class _GrowingField:
         self.force += step.quadrature.cells(force * test + 2 * of_slope * weight * along)
 
     def along(self, gradient: Any) -> Any:
-        """Carried slope of a gradient: the gradient, or F^T times the gradient."""
+        """The slope that matter carries, for a gradient of the damage: the gradient, or F^T times it."""
         if self.law.area == "actual":
             return gradient
         dim = self.step.mesh.dim
@@ -333,8 +332,8 @@ class _GrowingField:
 class HeldVolumes:
     """The volumes of bodies, which are held while damages grow, and the energies that damages degrade.
 
-    The energy with held volumes is quadratic in the damages, and not less than that of the bodies in
-    equilibrium of pressure, to which it is equal before the growth.
+    The energy with held volumes is quadratic in the damages. It is not less than the energy of the bodies in
+    equilibrium of pressure, and equal to this energy before the growth.
     """
 
     def __init__(self, step: Breaking, material: Mixture) -> None:

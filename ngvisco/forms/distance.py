@@ -2,9 +2,9 @@
 
     B(a, b) = E(a) - E(b) - E'(b)[a - b] >= 0,    E(rho, m, z) = max_w <m, w> - 1/2 int rho |w|^2 + int phi(z)
 
-(paper: Euler-ED-basic-convexity-calculus).  An implicit step from a to b dissipates B(a, b), and the
-numerical dissipation of every time scheme is a sum of such distances (``ngvisco.timestepping.integrator``).
-A further term with an evolving unknown adds its share of E.
+(paper: Euler-ED-basic-convexity-calculus).  An implicit step from a to b dissipates B(a, b). The numerical
+dissipation of every time scheme is a sum of such distances (``ngvisco.timestepping.integrator``).  A further
+term with an evolving unknown adds its share of E.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,8 +31,10 @@ _METHODS = ("energy", "slope", "distance")
 
 
 def storing(terms: Sequence[Term]) -> list[Storing]:
-    """The terms that have a share of the energy. Raises ParameterError for a term with only some of the
-    methods of ``Storing``, because its energy would be lost.
+    """The terms that have a share of the energy.
+
+    Raises ParameterError for a term with some, but not all, of the methods of ``Storing``: its energy would
+    be lost.
     """
     storing: list[Storing] = []
     for term in terms:

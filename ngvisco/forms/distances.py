@@ -2,9 +2,9 @@
 
     dt phi + (v . grad) phi = 0,     where phi starts as the distance from the outline, m, > 0 in the body.
 
-Distances are discontinuous P_k, with the velocity's order k.  Distances are carried with the mean velocity of
-the run's step by a scheme of order 3.  Distances have kinks in slots and at corners, and by the midpoint rule
-the short waves of these kinks lag behind.
+Distances are discontinuous P_k, with the velocity's order k.  The mean velocity of the run's step carries
+them, by a scheme of order 3.  Distances have kinks in slots and at corners. By the midpoint rule the short
+waves of these kinks would lag behind.
 """
 
 from __future__ import annotations

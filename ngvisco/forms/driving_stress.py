@@ -6,15 +6,15 @@ a increases |M| by |M| a^2/2, and the rate by |M| a^2/(2 G_m).  Here M* is a fur
 
     M* + c rate(M*) = Y,   M(z) = M*,   Pi = (Y - M*)/c.
 
-M* is a function of Y with a slope of at most one and the curvature of the rule's level sets, however steep
-the rule is (Yosida).  In the equations of z, the rate in Newton's method for (z, Y) is
+The slope of M* as a function of Y is at most one, and its curvature is that of the rule's level sets, however
+steep the rule is (Yosida).  In the equations of z, the rate in Newton's method for (z, Y) is
 
     Pi = rate(M*) + S (M(z) - M*),   S = rate'(M*).
 
 The increment dz gives Y = (M + M' dz) + c (Pi + S M' dz), from which M* follows point by point. The solution
-satisfies Pi = rate(M(z)) for any c > 0, in Pa s; c is tau times the stress per creep strain at rest. Where a
-factor of Pi multiplies S (M(z) - M*), the factor is evaluated at the iterate, so that in the matrix of (z, Y)
-the change of the factor multiplies rate(M*) only.
+satisfies Pi = rate(M(z)) for any c > 0, in Pa s; c is tau times the stress per creep strain at rest. If a
+factor of Pi multiplies S (M(z) - M*), the factor is evaluated at the iterate. In the matrix of (z, Y) the
+change of the factor then multiplies rate(M*) only.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ STRESS = "stress_"
 
 @dataclass(frozen=True)
 class _State:
-    """An iterate: coefficients of z; and z, zeta, M(z), the stress M* and the rate at M* at collocation
-    points."""
+    """An iterate: the coefficients of z; and, at collocation points, z, zeta, M(z), the stress M* and the
+    rate at M*."""
 
     key: np.ndarray
     z: np.ndarray
@@ -57,10 +57,10 @@ class _State:
 
 
 class LinearisationStress:
-    """The stresses M* of a step's state for a model with collocated creep. The object is false if no flow
-    rule needs such a stress.
+    """The stresses M* of a step's state for a model with collocated creep.
 
-    Arrays are (mechanisms, points, components); arrays of z and zeta are (components, points).
+    The object is false if no flow rule needs such a stress. Arrays are (mechanisms, points, components);
+    arrays of z and zeta are (components, points).
     """
 
     def __init__(
@@ -108,22 +108,22 @@ class LinearisationStress:
             with np.errstate(all="ignore"):
                 strain = self._softness * _rates(rules, M)
                 share = np.linalg.norm(M, axis=2) / np.linalg.norm(strain, axis=2)
-            # at the end of a midpoint step the stress can violate the flow rule: the creep rate is bounded
+            # the creep rate is bounded, since the stress can violate the flow rule after a midpoint step
             self._last = np.nan_to_num(np.minimum(share, 1.0)[..., None] * strain / self._softness)
 
     def start(self) -> None:
         """Begin an iteration at the next state, with the rates of the step's start.
 
-        For values that are not a solution, rate(M(z)) of a steep rule would be far from the solution's
-        rate.
+        At values that are not a solution, a steep rule's rate(M(z)) would be far from the rate of the
+        solution.
         """
         self._begins = self._last is not None
         self._at: _State | None = None
         self._target: np.ndarray | None = None
 
     def refresh(self, sampled: Callable[[], _Sampled] | None = None) -> None:
-        """Compute the stresses M* of the present state: from the target Y of ``follow``, or else as M(z),
-        with new slopes.
+        """Compute the stresses M* of the present state, from the target Y of ``follow``. Without a target
+        they are M(z), with new slopes.
 
         ``sampled`` returns z and zeta at the collocation points.
         """
@@ -193,7 +193,7 @@ class LinearisationStress:
 
     @property
     def are_stiff(self) -> bool:
-        """Whether a rule, by its slope, relaxes nine tenths of a stress in a step somewhere on this rank."""
+        """Whether the slope of a rule relaxes nine tenths of a stress in a step, somewhere on this rank."""
         return bool((self._softness[..., None] * abs(self._slopes)).max(initial=0.0) > 9)
 
     @property
@@ -202,7 +202,7 @@ class LinearisationStress:
         return {f"{STRESS}{i}": function for i, function in enumerate(self.stress.values())}
 
     def frozen(self) -> dict[str, np.ndarray]:
-        """The stresses at which the slopes are evaluated, by name: the coefficients of ``functions``."""
+        """The stresses at which the slopes are evaluated: the coefficients of ``functions`` by name."""
         at = self._frozen
         return {
             name: np.zeros(0) if at is None else at.stress[i].T.ravel()
@@ -210,7 +210,7 @@ class LinearisationStress:
         }
 
     def give(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Set the next state's stresses to the ``arrays`` of ``frozen``, or without arrays to M(z)."""
+        """Set the next state's stresses: to the ``arrays`` of ``frozen``, or to M(z) if there are none."""
         if self and arrays.keys() >= self.functions.keys():
             self.start()
             self._given = np.stack([arrays[name].reshape(self.space.size, -1).T for name in self.functions])
@@ -268,7 +268,7 @@ def _rates(rules: Sequence[PointRate], M: np.ndarray) -> np.ndarray:
 class KeptRates(Rates):
     """Rates of a solved state from its stored stresses at collocation points.
 
-    M(z) is not used, because a steep rule would multiply the change of M(z) by rounding of z.
+    M(z) is not used, because a steep rule would multiply its rounding, which comes from rounding of z.
     """
 
     def __init__(self, rates: Rates, stresses: LinearisationStress) -> None:

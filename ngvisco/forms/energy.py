@@ -1,14 +1,14 @@
-"""The stored energy phi and its derivative as functions of a step's fields, evaluated here only.
+"""The stored energy phi and its derivative, as functions of a step's fields; no other module evaluates them.
 
-For an energy with an expression, phi and phi' are expressions.  Otherwise (``Material.response``, e.g. a
-Yosida approximation) phi(z_k) and phi'(z_k) are computed for a state z_k, and stored at the quadrature
+For an energy with an expression, phi and phi' are expressions.  For any other energy (``Material.response``,
+e.g. a Yosida approximation) phi(z_k) and phi'(z_k) are computed for a state z_k, and stored at the quadrature
 points.  The slope is then
 
     slope(z) = phi'(z_k) + phi''(z_k) (z - z_k).
 
-At z = z_k, the slope and its derivative are exact, as a residual and its Jacobian need.  ``refresh``
-updates the stored values to the present state and is called before every use. The values depend on z alone,
-so that checkpoints omit them.  Further states (``follow``) have separate values, and sides of cells have
+At z = z_k the slope and its derivative are exact, as a residual and its Jacobian need.  ``refresh`` updates
+the stored values to the present state, and is called before every use. The values depend on z alone, so that
+checkpoints omit them.  Further states (``follow``) have values of their own. The sides of cells have
 projections of phi and phi'.
 """
 
@@ -37,15 +37,17 @@ class StoredEnergy:
     failure: str | None = None
     """Reason why the energy is not a number at the state of the last ``refresh``, or None."""
     last_failure: str | None = None
-    """Last ``failure`` of any state since it was set to None."""
+    """The last ``failure`` at any state; code that looks for a new failure first sets it to None."""
     projected: GridFunction | None = None
-    """Cellwise projection of an energy with values at the quadrature points only, else None."""
+    """Cellwise projection of the energy, for an energy that has values at quadrature points only; else
+    None."""
 
     def __init__(self, material: Material, dim: int) -> None:
         self.material, self.dim = material, dim
 
     def lacked(self, u: UnknownValues) -> None:
-        """Note as ``last_failure`` that an iterate had no energy, with the bounds of the energy's domain."""
+        """Note as ``last_failure`` that an iterate had no energy; the note names bounds of the energy's
+        domain."""
         bounds = " and ".join(f"{name} > 0" for name in self.material.domain(u.z_tensors))
         variables = ", ".join(variable.name for variable in self.material.variables)
         domain = f"; the energy of {variables} has values only where {bounds}" if bounds else ""
@@ -60,8 +62,8 @@ class StoredEnergy:
         return self.material.states(self.dim).components(self._conjugates(u))
 
     def _conjugates(self, u: UnknownValues) -> Values:
-        """Conjugates phi'(z); the conjugates of variables that do not lag read lagged variables at the
-        step's start."""
+        """Conjugates phi'(z). Conjugates of variables that do not lag read the lagged variables of the step's
+        start."""
         z, lagged = u.z_tensors, self.material.lagged
         if not lagged:
             return conjugates(self.material, z)
@@ -71,17 +73,18 @@ class StoredEnergy:
         return {name: own_conjugates[name] if name in lagged else of_others[name] for name in z}
 
     def tested_slope(self, u: UnknownValues, w: UnknownValues) -> list[CoefficientFunction]:
-        """Summands of phi'(z) : X, X the test function of zeta, with their derivative by z."""
+        """Summands of phi'(z) : X, with their derivative by z; X is the test function of zeta."""
         return [inner(S, w.zeta_tensors[name]) for name, S in self._conjugates(u).items()]
 
     def curved(
         self, u: UnknownValues, slope: CoefficientFunction, test: CoefficientFunction
     ) -> list[CoefficientFunction]:
-        """Summands phi''(z) q_j : Y_j, one for each column of a slope q of z and of Y, (components, dim).
+        """Summands phi''(z) q_j : Y_j, where j numbers the columns of a slope q of z and of Y, (components,
+        dim).
 
         Each summand is a derivative in two directions, and therefore a scalar.  A gradient of the derivative
-        in one direction would have tensors of fourth order, whose pattern takes NGSolve half a minute for
-        ``Ogden``.
+        in one direction would have tensors of fourth order. For ``Ogden``, NGSolve takes half a minute to
+        find the pattern of these tensors.
         """
         states = self.material.states(self.dim)
         variables = {name: value.MakeVariable() for name, value in u.z_tensors.items()}
@@ -102,14 +105,16 @@ class StoredEnergy:
         return self.density(u)
 
     def on_sides(self, u: UnknownValues) -> CoefficientFunction:
-        """Energy phi(z), Pa, or its mean over a cell's side, for integrals over sides (``refresh_sides``)."""
+        """Energy phi(z), Pa, or its mean over a cell's side, for integrals over sides; updated by
+        ``refresh_sides``."""
         return self.density(u)
 
     def refresh_sides(self) -> None:
         """Update ``on_sides`` to the present state."""
 
     def samples(self, z: Values, sampler: Sampler) -> np.ndarray:
-        """Energy phi(z), Pa, at the sampler's points, not finite where it has no value (``last_failure``)."""
+        """Energy phi(z), Pa, at the sampler's points. It is not finite where phi has no value
+        (``last_failure``)."""
         return sampler.values(self.material.energy(z))
 
     def follow(self, u: UnknownValues) -> None:
@@ -153,7 +158,7 @@ class PointwiseEnergy(StoredEnergy):
     def slope(self, u: UnknownValues) -> CoefficientFunction:
         if u is not self.fields and u in self._values:
             return self._values[u].slope
-        now = self._values[self.fields]  # linear in u.z, since u may have trial functions
+        now = self._values[self.fields]  # values must be linear in u.z, since u may have trial functions
         return now.slope + self._hessian.Reshape((self._size, self._size)) * (u.z - now.state)
 
     def tested_slope(self, u: UnknownValues, w: UnknownValues) -> list[CoefficientFunction]:
@@ -245,14 +250,16 @@ def column(matrix: CoefficientFunction, j: int) -> CoefficientFunction:
 
 @dataclass
 class _Values:
-    """Energy phi, state and slope phi' at the quadrature points, and the state of their computation."""
+    """Energy phi, state and slope phi' at the quadrature points, and the state at which they were
+    computed."""
 
     energy: GridFunction
     state: GridFunction
     slope: GridFunction
     at: np.ndarray | None = None
     seen: np.ndarray | None = None
-    """z of the step's start at the points, whose lagged variables the slope reads; None without these."""
+    """z of the step's start at the points; the slope reads its lagged variables. None without such
+    variables."""
 
     def is_at(self, states: np.ndarray, seen: np.ndarray | None) -> bool:
         """Whether the stored energy and slope were computed at ``states``, and with the lagged variables
@@ -265,7 +272,7 @@ class _Values:
 class _SideValues:
     """Energy phi and slope phi' on the sides of cells, L2 projections to P_m of each side.
 
-    Integrals of phi over a side, and of phi' : z for z in P_m, are those of the values at the rule's points.
+    For z in P_m, integrals of phi and phi' : z over a side equal those of the values at the rule's points.
     """
 
     def __init__(self, quadrature: Quadrature, fields: UnknownValues, size: int) -> None:

@@ -30,10 +30,10 @@ class Fields(UnknownValues):
     ) -> None:
         """``parts`` are proxies, grid functions or arrays of values by the unknowns' names.
 
-        ``context`` has the known data at the same points, by default the layout's; ``gradient`` returns the
-        gradient of a part, by default NGSolve's.  With ``rows = 1`` the fields have one component of v: forms
-        linear in v, a and the hyperstress are equal for all components.  ``functions``, if given, are the
-        trial or test functions with these parts.
+        ``context`` has the known data at the same points, by default the layout's data. ``gradient`` returns
+        the gradient of a part, by default by NGSolve.  With ``rows = 1`` the fields have one component of v,
+        because forms linear in v, a and the hyperstress are equal for all components.  ``functions``, if
+        given, are the trial or test functions with these parts.
         """
         super().__init__(layout, parts, gradient, rows, functions)
         self._context = context

@@ -37,13 +37,13 @@ _VOLUMES = {"J", "A"}
 """Names of variables that determine the volume; an inflow with a given volume needs a density."""
 
 _INVERTED, _STEPS = 1e-12, 100
-"""Accepted defect of the scaled pressure, and largest number of Newton steps, for the volume."""
+"""Accepted defect of the scaled pressure; and largest number of Newton steps for the volume."""
 _VACUUM = 14.0
 """Logarithm of the finite volume that stands for the infinite volume of a gas at zero pressure."""
 
 
 def parameter_values(material: Material, given: Given, owner: str = "Initial") -> StartValues:
-    """Values of the material's parameters by name: the given ones, else the parameters' start values."""
+    """Values of the material's parameters by name: given values, or else the parameters' start values."""
     values = {}
     for variable in material.variables:
         if isinstance(variable, Parameter):
@@ -64,7 +64,7 @@ def starting_values(
     further: Iterable[str] = (),
     owner: str = "Initial",
 ) -> StartValues:
-    """Values of all variables by name: the given ones, else values that follow from F.
+    """Values of all variables by name: given values, or else values that follow from F.
 
     Raises UnknownNameError for a name that is neither a variable's nor among ``further``.
     """
@@ -86,7 +86,7 @@ def given_values(
 
     Raises UnknownNameError for a name that is neither a variable's nor among ``further``.
     """
-    # the damage gradient is not given: it follows from the damage
+    # the damage gradient follows from the damage, and is never given
     shapes = {
         v.name: tuple(v.from_distortion(Id(3)).dims)
         for v in material.variables
@@ -106,8 +106,8 @@ def temperature_for(
     """The temperature, K, that determines the entropy; by default the reference temperature.
 
     The result is None for a material without entropy, and if ``given`` has the entropy itself.  Raises
-    ParameterError for a temperature in these cases, for an entropy that no temperature determines, and for
-    bodies without a common reference temperature if none is given.
+    ParameterError if a temperature is given in one of these two cases; for an entropy that no temperature
+    determines; and for bodies without a common reference temperature if none is given.
     """
     field, entropy = f"{owner}.temperature", entropy_in(material)
     if entropy is None or entropy.name in given:
@@ -146,7 +146,7 @@ def entropy_at(material: Material, theta: CoefficientFunction, values: Given) ->
 def bulk_pressure(
     material: Material, J: CoefficientFunction, given: Given, theta: CoefficientFunction | None = None
 ) -> CoefficientFunction:
-    """Pressure -tr T/3, Pa, at F = J^{1/3} I; ``given`` has variables that are no strains; theta in K."""
+    """Pressure -tr T/3, Pa, at F = J^{1/3} I. ``given`` has variables that are not strains; theta is in K."""
     z: StartValues = {}
     for v in material.variables:
         is_given = not v.is_strain and v.name in given
@@ -171,7 +171,7 @@ def _at_pressure(
         for part in (bulk_pressure(material, exp(logarithm), {}, theta) / modulus, p / modulus)
     )
     excess = law - target - if_positive(logarithm - _VACUUM, logarithm - _VACUUM, CF(0.0))
-    # by ``time - time`` J is evaluated on facets once a step, as linearised forms cannot contain NewtonCF
+    # forms that are linearised cannot contain NewtonCF; with ``time - time`` facets evaluate J once a step
     J = exp(NewtonCF(excess, CF(0.0), tol=_INVERTED, maxiter=_STEPS)) + (time - time)
     return {v.name: v.from_distortion(J ** (1 / 3) * Id(3)) for v in material.variables if v.is_strain}
 

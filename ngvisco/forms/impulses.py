@@ -1,27 +1,27 @@
 """Changes of a body's momentum in a step: impulses by name, and the defects of the discretisation.
 
 The equations of a step are tested with rigid motions e, which are the constants and the rotations about the
-origin. On straight cells rigid motions belong to the velocity's space.  With m the momentum functional <m, w>
+origin. On straight cells rigid motions belong to the velocity's space.  With the momentum functional <m, w>
 = int rho v . w
 
-    <m - m_old, e>/tau = sum of forces + thrust of jumps + rest of cells + rest of inertia,
+    <m - m_old, e>/tau = sum of forces + thrust of jumps + rest of cells + rest of inertia.
 
-with the forces -form(u; e) of each load and wall.  The rows of R at coefficients of v that walls hold are not
-solved.  The sum R(u; e) of these rows, together with the pressure that B_h omits on a closed wall
-(``ngvisco.forms.reactions``), is the walls' force.  Viscous and hyperviscous stresses have no power at e.
-The other summands vanish for the exact solution; they are momentum that the scheme creates:
+The force of each load and wall is -form(u; e).  The rows of R at coefficients of v that walls hold are not
+solved. The walls' force is the sum R(u; e) of these rows, together with the pressure that B_h omits on a
+closed wall (``ngvisco.forms.reactions``).  Viscous and hyperviscous stresses have no power at e.  The other
+summands vanish for the exact solution; they are momentum that the scheme creates:
 
-- **inertia**: the skew form has half the continuity equation tested with v . e, which is not in the space of
-  rho; ``MomentumBalance`` compensates for it with constant e, and not with rotations;
+- **inertia**: the skew form has half the continuity equation tested with v . e, and v . e is not in the space
+  of rho; ``MomentumBalance`` compensates for it if e is constant, and not if e is a rotation;
 - **facets**: the elastic force B_h(e; z, zeta) has the facets' share
 
       sum_K int_{dK} (e . n) ((z_hat - z) : zeta + phi(z)),
 
-  less the parts of ``TangentForce`` and of walls that matter crosses; the thrust of a jump remains where a
+  less the parts of ``TangentForce`` and of walls that matter crosses. The thrust of a jump remains where a
   trace has no energy;
-- **cells**: the rest of B_h(e; z, zeta) without the shares of facets and walls: the quadrature of phi in
-  cells and on facets, on curved cells the projection of (e . grad) z, and conjugates of another state
-  (``Material.lagged``).
+- **cells**: the rest of B_h(e; z, zeta) without the shares of facets and walls. It has three causes: the
+  quadrature of phi in cells and on facets; on curved cells the projection of (e . grad) z; conjugates of
+  another state (``Material.lagged``).
 
 Rotations are no functions on periodic meshes, on which angular momentum is not conserved.  Bodies of
 revolution have the translation along their axis alone.
@@ -64,7 +64,7 @@ from ngvisco.parallel.exchange import Interpolation
 from ngvisco.physics.tensors import inner, is_number, sqrt, square
 
 OnSides: TypeAlias = Callable[[Fields, Fields], dict[str, list[CoefficientFunction]]]
-"""Integrands on the sides of cells, by names, from the unknowns and a test of v."""
+"""Function of the unknowns and a test of v; returns integrands on the sides of cells, by names."""
 
 DEFECTS = ("facets", "cells", "inertia")
 """Names of the momentum defects of the scheme, by their place."""
@@ -90,7 +90,7 @@ class Impulses:
         self._space: FESpace = VectorH1(mesh, order=1 if mesh.GetCurveOrder() < 2 else step.discretisation.k)
         """Space of the motions, without constraints by walls."""
         self.on_sides: Callable[[OnSides], dict[str, np.ndarray]] = lambda integrands: {}
-        """Function that returns rows of v, of this rank's cells, by arrays, faster than the forms."""
+        """Function that returns rows of v, of this rank's cells, by arrays. The forms take longer."""
         test = self._space.TestFunction()
         self._groups = self._by_groups(step.now, self._tests(test, Grad(test)))
         self.names = [name for name in self._groups if name not in (ELASTIC, ENTERING, SKEW, CHANGE)]
@@ -187,10 +187,11 @@ class Impulses:
         return facets
 
     def integrands(self, u: Fields) -> dict[str, list[list[Integrand]]]:
-        """Summands at ``u`` of the forces and defects that a call returns, by names and for each motion.
+        """Summands at ``u`` of the forces and defects that ``__call__`` returns, by names and for each
+        motion.
 
-        The force of walls that hold v omits the rows of R tested by the motions, which are
-        ``held_velocities`` times R.
+        The force of walls that hold v omits the rows of R, tested by the motions. These rows give the rest of
+        the force: ``held_velocities`` times R.
         """
         by_names: dict[str, list[list[Integrand]]] = {name: [] for name in (*self.names, *DEFECTS)}
         for motion, coefficients in zip(self.motions, self._coefficients, strict=True):
@@ -280,7 +281,8 @@ def _thrust(u: Fields, phi: CoefficientFunction) -> CoefficientFunction:
 
 
 def _where_it_is(phi: CoefficientFunction) -> CoefficientFunction:
-    """Energy on facets, Pa; 0 at a trace without energy, whose share then counts in the defect of cells."""
+    """Energy on facets, Pa. It is 0 at a trace without energy; the share of this trace then counts in the
+    defect of cells."""
     return is_number(phi, phi, 0.0)
 
 
@@ -291,7 +293,7 @@ _THRUST, _PRESSED = "thrust of jumps", "pressed walls"
 
 @dataclass
 class _Rows:
-    """Integrands in cells, by motion, and integrands on facets, of all cells or of the cells at some
+    """Integrands in cells, by motion; and integrands on facets, either of all cells or of the cells at some
     walls."""
 
     cells: dict[str, list[Integrand]] = field(default_factory=dict)

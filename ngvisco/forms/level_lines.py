@@ -1,10 +1,10 @@
 """Outlines of bodies in cells: level lines of a carried distance that cut off the bodies' volumes.
 
 A body's signed distance phi from its outline at the start is carried with the flow, as a discontinuous
-polynomial.  In a cell with the fraction theta, the body's part is phi > c, where the level c is chosen so
-that the part has the share theta of the cell.  Therefore the part has the volume that belongs to the body's
-amount. The outline in the cell may be curved or consist of several parts: a slot or a film that is thinner
-than the cell has two sides. Shares are sums over sub-cells, in which phi is linear.
+polynomial.  In a cell with the fraction theta, the body's part is phi > c. The level c is chosen so that the
+part has the share theta of the cell, and therefore the volume that belongs to the body's amount. The outline
+in the cell may be curved or consist of several parts: a slot or a film that is thinner than the cell has two
+sides. Shares are sums over sub-cells, in which phi is linear.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ngvisco.shapes.fractions import subdivision
 from ngvisco.shapes.places import Places, mesh_points
 
 _PIECES = 8
-"""Pieces of the edges of a cell, and of the sides of a strip, in which phi is linear."""
+"""Two numbers of equal pieces in which phi is linear: of the edges of a cell, and of the sides of a strip."""
 
 
 class CarriedDistances(Protocol):
@@ -72,11 +72,11 @@ class LevelLines:
         return np.asarray(np.einsum("kpc,pce->ke", shares, self._lambdas[self._pieces]) / len(self._pieces))
 
     def shares(self, ends: np.ndarray, starts: np.ndarray, radii: np.ndarray | None = None) -> np.ndarray:
-        """Share of phi > c in strips between a facet and its earlier place, (cells,), nan for no strip.
+        """Share of phi > c in strips between a facet and its earlier place, (cells,); nan for no strip.
 
-        ``ends`` are barycentric coordinates of both corners of the facet, and ``starts`` those of the matter
-        there before the step, (cells, 2, 3); parts of a strip beyond the facet do not count.  ``radii`` are
-        weights of volumes at the cells' corners.
+        ``ends`` are barycentric coordinates of both corners of the facet. ``starts`` are those of the matter
+        at the corners before the step, (cells, 2, 3). Parts of a strip beyond the facet do not count.
+        ``radii`` are weights of volumes at the cells' corners.
         """
         s = np.linspace(0, 1, _PIECES + 1)
         along, back = (of[..., None] for of in np.meshgrid(s, s, indexing="ij"))

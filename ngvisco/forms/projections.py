@@ -1,7 +1,7 @@
 """L2 projections, each on one space: no projection needs a matrix over all unknowns of a step.
 
-The mass matrix of a facet unknown has one block per facet, of a cell unknown one block per cell; the
-components of a vector share the matrix.
+The mass matrix of a facet unknown has one block per facet, and that of a cell unknown has one block per cell.
+All components of a vector have the same matrix.
 """
 
 from __future__ import annotations
@@ -57,8 +57,8 @@ class LocalProjection:
 
 
 class FacetProjection:
-    """Puts the mean over each facet of both sides' values, weighted by their shares, into ``target``, a
-    function of order 0."""
+    """Sets ``target``, a function of order 0, to means over facets. The mean is over both sides' values,
+    weighted by their shares."""
 
     def __init__(
         self,
@@ -112,11 +112,12 @@ class RecoveredSlope:
 
 
 class VertexSlope:
-    """Slope of a function by means at vertices, each over the cells at the vertex.
+    """Slope of a function by means at vertices; a mean is over the cells at the vertex.
 
-    For a function that is constant in cells, it is the slope of the continuous function, linear in simplices,
-    with the function's means.  With ``of_slope`` the recovered slope is the continuous function, linear in
-    simplices, with the means of the given slope.  The normal of a curved interface then varies in a cell.
+    The function may be constant in cells. Its means then define a continuous function, linear in simplices,
+    whose slope is the result.  With ``of_slope`` the given function is a slope. Its means define the result
+    itself, which is continuous and linear in simplices.  The normal of a curved interface then varies in a
+    cell.
     """
 
     def __init__(self, mesh: Mesh, value: CoefficientFunction, periodic: bool, of_slope: bool) -> None:
@@ -142,8 +143,10 @@ class VertexSlope:
 def slopes_of_interfaces(
     model: Model, layout: StepLayout, context: Context, quadrature: Quadrature
 ) -> dict[Interface, RecoveredSlope | VertexSlope]:
-    """Slopes at a step's start along the normals of interfaces, for fractions that are constant in cells, and
-    for layered bodies, whose tension along an interface must not count as shear."""
+    """Slopes at a step's start, along the normals of interfaces.
+
+    Fractions that are constant in cells need them; so do layered bodies, whose tension along an interface
+    must not count as shear."""
     slopes: dict[Interface, RecoveredSlope | VertexSlope] = {}
     law, has_slopes = model.material.at_interfaces, layout.discretisation.m > 0
     if law is not None and (not has_slopes or isinstance(law, Layers)):
@@ -196,7 +199,8 @@ def project(
 
 
 def set_traces(layout: StepLayout, state: GridFunction, context: Context, quadrature: Quadrature) -> None:
-    """Set the state's traces to the means of both sides' rho, z, ... and d_n v, in L2 of every facet."""
+    """Set the state's traces to the means of both sides' rho, z, ... and d_n v, by L2 projection on every
+    facet."""
     parts, now = dict(zip(layout.names, state.components, strict=True)), Fields.of(layout, state.components)
     kinds: dict[tuple[str, int], list[Unknown]] = {}
     for name in layout.names_of("facets", "normals"):

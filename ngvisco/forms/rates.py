@@ -1,7 +1,7 @@
 """Rates of the transported variables and their power, as read by the terms of a step.
 
-``Rates`` evaluates them with coefficient functions, ``TabulatedRates`` with arrays of values and the rates'
-constant tensors.  A term reads ``u.context.rates`` and works with either class.
+``Rates`` evaluates the rates with coefficient functions. ``TabulatedRates`` evaluates them with arrays of
+values and constant tensors.  A term reads ``u.context.rates`` and works with either class.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -56,7 +56,7 @@ class Rates:
     """Rates of one model and their products rate(z; L, Pi) : G."""
 
     def __init__(self, model: Model, dim: int, hoop: bool = False) -> None:
-        """With ``hoop``, in a body of revolution, L has an entry 33."""
+        """With ``hoop``, for a body of revolution, L has an entry 33."""
         self.model, self.material, self.dim, self.hoop = model, model.material, dim, hoop
         self.mechanisms = model.mechanisms
         """The flow rules with the variables that they relax."""
@@ -67,10 +67,10 @@ class Rates:
     def power(
         self, z: UnknownValues, along: UnknownValues, G: UnknownValues, name: Conjugate
     ) -> Sequence[CoefficientFunction]:
-        """Summands of rate(z; grad w, 0) : G, w the velocity of ``along``, G the part ``name`` of ``G``.
+        """Summands of rate(z; grad w, 0) : G; w is the velocity of ``along``, G the part ``name`` of ``G``.
 
-        Of the rate of a density (``Variable.by_flux``) only the production counts here, because the density's
-        flux contains the part -(tr L) z.
+        For a density (``Variable.by_flux``) only the production counts here, because the density's flux
+        contains the other part of the rate, -(tr L) z.
         """
         zero, tensors, values = 0 * along.L, _tensors(G, name), self.parted(z)
         parts = []
@@ -85,8 +85,8 @@ class Rates:
         """Whether creep is integrated by the nodal rule, one point per field coefficient in a cell.
 
         The nodal rule is used if a local rule is nonlinear, or relaxes F or its cofactor: a field can follow
-        their rotation at no more points than it has coefficients. Rates that are not affine in the variables
-        have no nodal rule, because constant tensors do not give the stress of such rates.
+        the rotation of these at no more points than it has coefficients. If rates are not affine in the
+        variables, there is no nodal rule, because constant tensors do not give the stress of such rates.
         """
         turns = {variable.name for variable in self.material.variables if variable.kind == "full"}
         asked = any(f.rule.degree != 1 or turns.intersection(f.names) for f in self.mechanisms)
@@ -100,7 +100,7 @@ class Rates:
     def creep_power(
         self, z: UnknownValues, Pi: Sequence[CoefficientFunction], G: UnknownValues, name: Conjugate
     ) -> Sequence[CoefficientFunction]:
-        """Summands of rate(z; 0, Pi) : G, where each mechanism has one Pi, 3x3; a rate at L = 0 has no affine
+        """Summands of rate(z; 0, Pi) : G; each mechanism has one Pi, 3x3. At L = 0 rates have no affine
         part."""
         tensors = _tensors(G, name)
         return [
@@ -162,8 +162,8 @@ class Rates:
     def read_values(
         self, law: FlowRule | Viscosity, u: UnknownValues, mechanism: CreepMechanism | None = None
     ) -> Values:
-        """Values that a law may read: z, and the quantities in ``law.reads``, such as the pressure; the rule
-        of a ``mechanism`` may harden."""
+        """Values that a law may read: z, and the quantities in ``law.reads``, such as the pressure. For the
+        rule of a ``mechanism`` these may include the growth of the yield stress."""
         tensors = {**u.z_tensors}
         if PRESSURE in law.reads:
             tensors[PRESSURE] = self.pressure(u)
@@ -181,7 +181,7 @@ class Rates:
         return tensors
 
     def parted(self, u: UnknownValues) -> Values:
-        """z, and for a material with a law of interfaces its normals and shares at the step's start."""
+        """z; for a material with a law of interfaces also the normals and shares at the step's start."""
         if (law := self.material.at_interfaces) is None:
             return u.z_tensors
         shares = self.material.parted(u.context.old.z_tensors)
@@ -190,8 +190,8 @@ class Rates:
     def _normals(self, interface: Interface, u: UnknownValues) -> CoefficientFunction:
         """Projection n x n, 3x3, on the slope n of the interface's quantity at the step's start.
 
-        The projection tends to zero where the mean changes by less than ``NO_INTERFACE`` in a cell, because
-        the slope is then a rounding error of any direction.
+        The projection tends to zero where the mean changes by less than ``NO_INTERFACE`` in a cell: the slope
+        is then rounding, and its direction has no meaning.
         """
         if interface in u.context.recovered_slopes:
             slope = u.context.given(u.context.recovered_slopes[interface])
@@ -202,7 +202,7 @@ class Rates:
         return (1 / (square(column) + least * least)) * (column * column.trans)
 
     def slope_of_mean(self, interface: Interface, old: UnknownValues) -> CoefficientFunction:
-        """Slope of the mean of an interface's quantity in cells, times the amount of matter, 1/m."""
+        """Slope of the mean of an interface's quantity, in cells, times the amount of matter, 1/m."""
         states, mean, parts = old.layout.states, interface.mean(old.z_tensors), []
         for name, value in interface.values:
             row = np.zeros((1, states.size))
@@ -231,8 +231,8 @@ class Rates:
         return u.context.energy.on_sides(u)
 
     def stored_near(self, u: UnknownValues) -> CoefficientFunction:
-        """Energy phi(z), Pa, in cells; this function has its derivative by z even if the stored values belong
-        to one state."""
+        """Energy phi(z), Pa, in cells, with its derivative by z, even if the stored values belong to one
+        state."""
         return u.context.energy.near(u)
 
     def dissipation(self, u: UnknownValues) -> dict[str, CoefficientFunction]:
@@ -291,7 +291,7 @@ class TabulatedRates(Rates):
         shared = model.material.taking_part(states.tensors(lambda: Array(np.ones((states.size, 1)), None)))
         self._shared = {name: states.slices[name] for name in shared}
         self.weighed: RateTensors | None = None
-        """Part of the rates with a variable's weight as a factor (``Material.taking_part``)."""
+        """Part of the rates that a variable's weight multiplies (``Material.taking_part``)."""
         if shared:
             self.weighed = self.production - self.production.turning()
             self.tensors, self.production = self.tensors - self.weighed, self.production.turning()
@@ -357,7 +357,7 @@ class TabulatedRates(Rates):
                 stress = self.weighed.stress_beside(openings, z, of_name, 0, len(X))
                 (by_z,) = derivatives(share, [values])
                 X_read, read = np.flatnonzero(stress.any(axis=1)), np.flatnonzero(by_z.any(axis=1))
-                for m in read:  # as a view: copies of columns would take most of the time
+                for m in read:  # one column at a time, as a view: copies would take most of the time
                     of_rate[:, where, m] += (rates[where] * by_z[m]).T
                     of_stress[:, X_read, m] += (stress[X_read] * by_z[m]).T
         return of_rate, of_stress
@@ -371,8 +371,8 @@ class TabulatedRates(Rates):
         return rates
 
     def stress(self, z: UnknownValues, zeta: np.ndarray, first: int, stop: int) -> np.ndarray:
-        """Derivatives d(zeta : rate)/dX for X = first ... stop - 1, (X, points); with ``first`` = 0 for all
-        entries of L."""
+        """Derivatives d(zeta : rate)/dX for X = first ... stop - 1, (X, points). If ``first`` is 0, the
+        range must contain all entries of L."""
         slopes, values = self.production.stress(z.z.value, zeta, first, stop), z.z.value
         if self.weighed is not None:
             openings, weighed = None if first else self.openings(z), self.weights(values) * zeta

@@ -5,12 +5,12 @@ also contains the terms of walls, which are subtracted.  The force of wall Gamma
 
     F_Gamma . e = R(u; w_Gamma) - (terms of Gamma)(u; e) + int (phi - z_f : zeta_f) (w_Gamma . n),
 
-with w_Gamma = e at the coefficients that Gamma constrains; for the torque e is the rotation e x (x - c). z_f
+with w_Gamma = e at the coefficients that Gamma constrains. For the torque, e is the rotation e x (x - c). z_f
 are the variables transported by their flux. The last integral appears because the scheme's elastic force is
-B_h(w; z, zeta) = int T : grad w - int (phi - z_f : zeta_f) (w . n), which is int T : grad w if w.n = 0 on
-walls.  The force is the consistent reaction of the elastic, viscous and hyperviscous stress; this reaction
-converges faster than an integral of T n.  If the trace on a wall has no energy (det B <= 0 beside a barrier),
-phi is the projection of the energy in the cell.
+B_h(w; z, zeta) = int T : grad w - int (phi - z_f : zeta_f) (w . n), which is int T : grad w only if w.n = 0
+on walls.  The force is the consistent reaction of the elastic, viscous and hyperviscous stress. It converges
+faster than an integral of T n.  If the trace on a wall has no energy (det B <= 0 beside a barrier), phi is
+the projection of the energy in the cell.
 
 If several walls constrain a component of v at a corner, they share the row of this component in proportion
 to their n_i^2, so that each wall keeps its pressure; if all n_i are zero, their shares are equal.
@@ -37,8 +37,9 @@ from ngvisco.physics.tensors import if_positive, inner, is_number, masked
 
 
 class WallReactions:
-    """Force and torque on walls of a step, by default on all; UnknownNameError for a name without a wall,
-    ParameterError for a mesh without walls.
+    """Force and torque on walls of a step, by default on all walls.
+
+    Raises UnknownNameError for a name without a wall, ParameterError for a mesh without walls.
 
     Parameters
     ----------
@@ -64,7 +65,7 @@ class WallReactions:
             interpolate(interpolated, motion)
             self._tests.append(interpolated.vec.FV().NumPy().copy())
         self._weights = self._shares()
-        # this integral is added on impermeable walls only: on other walls the residual contains it
+        # impermeable walls alone need this integral: on other walls the residual contains it
         free = step.layout.velocity_space((None,) * step.mesh.dim)
         self._closed = facet_indicator(step.mesh, [name for name in walls if name not in step.walls.crossed])
         normal_test = free.TestFunction() * step.context.normal
@@ -103,7 +104,7 @@ class WallReactions:
         }
 
     def _beside(self, u: Fields) -> CoefficientFunction:
-        """Pressure phi - z_f : zeta_f, Pa, with a trace of phi everywhere."""
+        """Pressure phi - z_f : zeta_f, Pa, where every trace has a value of phi."""
         phi = self.step.energy.anywhere(u)
         return beside_the_stress(u, is_number(phi, phi, self._projected))
 
@@ -139,9 +140,9 @@ class WallReactions:
         return -self._weights[name] * self._tests[list(self.motions).index(motion)]
 
     def beside_the_rows(self, name: str, motion: str, u: Fields) -> tuple[Integrand, Callable[[], None]]:
-        """Summands at ``u`` of a component of force or torque on a wall besides the residual's rows.
+        """Summands at ``u`` of a component of force or torque on a wall, other than the residual's rows.
 
-        After a call of the returned function the derivative of the summands by u is exact at the present
+        After a call of the returned function, the derivative of the summands by u is exact at the present
         state.
         """
         step, energy = self.step, self.step.energy
@@ -162,9 +163,9 @@ class WallReactions:
         return Integrand(q * energy.near(u), sum(integrands, self._energy_flux(u) * normal)), project
 
     def __call__(self) -> dict[str, list[float]]:
-        """The components of force, N, and of torque, N m, on each wall (per metre in plane strain, for a body
-        of revolution the axial force over 2 pi).
+        """The components of force, N, and of torque, N m, on each wall.
 
+        In plane strain they are per metre; for a body of revolution the force is the axial force over 2 pi.
         The components belong to the solution of the last Rothe step: the state must be this solution, with
         the step's old state, length and loads in place.  For a scheme with stages or an extrapolated end see
         ``ngvisco.run.probes.WallForces``.
@@ -183,8 +184,8 @@ class WallReactions:
 
 
 def beside_the_stress(u: Fields, phi: CoefficientFunction) -> CoefficientFunction:
-    """Pressure phi - z_f : zeta_f, Pa, that B_h(w; z, zeta) omits on a closed wall; z_f are the variables
-    that move by flux."""
+    """Pressure phi - z_f : zeta_f, Pa, that B_h(w; z, zeta) omits on a closed wall. z_f are the variables
+    that are transported by their flux."""
     by_flux = u.layout.states.by_flux
     return phi - inner(masked(u.z, by_flux), u.zeta) if by_flux.any() else phi
 

@@ -2,9 +2,9 @@
 
 Transport smears a jump of the amounts n_i over more and more cells. After each step
 (``Discretisation.sharp``) two moves separate bodies i and j in cells that contain no other body, and a third
-move restores determinants. No planes are placed in cells with more than two bodies, and none in cells that an
-interface crosses within one step (cells lower than the strips swept through them). In cells with more than
-two bodies negative means are filled up too, and one factor for all slopes brings fractions into [0, 1].
+move restores determinants. No planes are placed in cells with more than two bodies, and in cells that an
+interface crosses within one step (lower than the strips swept through them). In cells with more than two
+bodies negative means are filled up too, and one factor for all slopes brings fractions into [0, 1].
 
 1. *Between cells.*  The step has carried the amounts F_i, F_j out of a cell through a facet.  At the start
    of the step a plane bounds body i in this cell; the share s of the strip that was swept through the facet
@@ -17,10 +17,10 @@ two bodies negative means are filled up too, and one factor for all slopes bring
    ratio X/n of the giving cell. Transport may leave cells with negative means: neighbours give such a cell
    the missing amount of the body, and take the cell's X/n in exchange.
 2. *In a cell* n_i becomes its mean plus the slope of the projected indicator of body i's part, scaled so
-   that theta_i is in [0, 1]; n_j becomes the rest of n_i + n_j, and X becomes n B.  B has the slopes
-   of the quotient X/n that the step has carried, projected with the weight n, and the mean that keeps int X.
+   that theta_i is in [0, 1]. n_j becomes the rest of n_i + n_j, and X becomes n B.  The slopes of B are those
+   of the quotient X/n that the step has carried, projected with the weight n; its mean keeps int X.
 3. *Determinants.*  At corners of cells det B gets the value that follows from N.  Where det B was too small,
-   a share of the change is made, the same share everywhere, so that the sum of the energies does not rise.
+   a share of the change is made. This share is the same everywhere, so that the energy in sum does not rise.
 
 The normal of the plane that bounds body i in a cell is the slope of theta_i averaged at the vertices; the
 plane cuts off the mean of theta_i from the cell.  The strip is a prism between the facet and its place
@@ -28,12 +28,12 @@ before the step.  About an axis shares are those of volumes, with the weight r. 
 ``Discretisation.outlines`` level lines of a carried distance take the place of planes
 (``ngvisco.forms.level_lines``); the exchanges and their integrals stay.
 
-The moves keep N at every point, int n_i and, but for the third, int X_i. The moves therefore keep masses and
-sum theta = 1, and, since bodies have one density, rho and momentum. A common volumetric energy depends on N
-alone. If f is linear in X, n f(X/n) = C : (X - n I), and its integral depends on the integrals of n and X
-alone: the third move lowers the stored energy, the others keep it to rounding, and the step's identity holds.
-With a nonlinear f of degree one in (n, X) energy would be lost; moreover the f of bodies have this degree
-only up to traces of matter. Therefore nonlinear f are refused.
+The moves keep N at every point and int n_i; all moves but the third keep int X_i. They therefore keep masses
+and sum theta = 1 and, since bodies have one density, rho and momentum. A common volumetric energy depends on
+N alone. If f is linear in X, n f(X/n) = C : (X - n I), and its integral depends on the integrals of n and X
+alone. Hence the third move lowers the stored energy, the other moves keep it to rounding, and the step's
+identity holds. With a nonlinear f of degree one in (n, X) energy would be lost; moreover the f of bodies have
+this degree only up to traces of matter. Therefore nonlinear f are refused.
 """
 
 from __future__ import annotations
@@ -77,13 +77,14 @@ _PASSES = 2
 _PLANES = 2
 """Number of planes that are placed in a cell, each with a better normal."""
 _ROUNDING = 1e-12
-"""An amount below this share of a cell's amounts counts as rounding, whose sign must have no effect."""
+"""Share of a cell's amounts below which an amount is rounding, whose sign must have no effect."""
 FAR = 0.7
 """Largest strip that a step may sweep at an interface, in heights of its cell (errors: FORMULATION.md)."""
 
 
 _Moves: TypeAlias = list[tuple[int, int, np.ndarray, np.ndarray]]
-"""Bodies i, j; cells, (2, moves); amounts, (moves,), of i that the first cells give for as much of j."""
+"""Bodies i, j; cells, (2, moves); and the amounts of i that the first cells give for as much of j,
+(moves,)."""
 
 
 class Sharpening:
@@ -127,7 +128,7 @@ class Sharpening:
         """Height of the longest strip of the last step, in heights of its cell."""
 
     def follow(self, distances: CarriedDistances) -> None:
-        """Take outlines from the carried distances of bodies, in place of planes."""
+        """Take outlines from the carried distances of bodies; planes are then not used."""
         self._distances = distances
 
     # --- a step, as the integrator's ``carried`` objects follow it ---------------------------------------
@@ -207,11 +208,11 @@ class Sharpening:
         return (sums[0] / np.maximum(sums[1], np.finfo(float).tiny))[self._vertices]
 
     def _behind(self, u: np.ndarray, i: int, j: int) -> np.ndarray:
-        """Values at corners, (cells, corners), of linear functions that are > 0 in body i's part of a cell,
-        and < 0 in body j's part; 0 in cells without an interface.  If i and j change places, signs change.
+        """Values at corners, (cells, corners), of linear functions: > 0 in body i's part of a cell, < 0 in
+        body j's part, and 0 in cells without an interface.  If i and j change places, signs change.
 
-        The first normals are slopes of averaged differences of the fractions, the second ones of averaged
-        distances from the first planes.
+        The first normals are slopes of averaged differences of the fractions. The second normals are slopes
+        of averaged distances from the first planes.
         """
         amounts, (theta, is_shared) = u[self._amounts], self._shared_by(u, i, j)
         values = np.clip(0.5 + 0.5 * (amounts[i] - amounts[j]) / amounts.sum(axis=0), 0, 1)
@@ -226,17 +227,17 @@ class Sharpening:
         return height
 
     def _shared_by(self, u: np.ndarray, i: int, j: int) -> tuple[np.ndarray, np.ndarray]:
-        """Share of body i in each cell, (cells,), in [0, 1], with half of each trace of another body; and a
-        mask of the cells with bodies i and j."""
+        """Share of body i in each cell, (cells,), in [0, 1], where half of each trace of another body counts;
+        and a mask of the cells with bodies i and j."""
         means = self._means(u[self._amounts])
         theta = np.clip(means / means.sum(axis=0), 0, 1)[[i, j]]
         return 0.5 + 0.5 * (theta[0] - theta[1]), theta.min(axis=0) > LEAST
 
     def _defects(self, i: int, j: int, strips: np.ndarray) -> np.ndarray:
-        """Outflow of body i in a step by the strips that cross the facets, less the transported outflow,
+        """Outflow of body i in a step by the strips that cross the facets, minus the transported outflow,
         (cells, facets). The body's share of a strip follows from its planes or outlines at the step's start.
 
-        Facets are numbered by their opposite corners; ``strips`` are the heights of the strips at the corners
+        Facets are numbered by their opposite corners. ``strips`` are the heights of the strips at the corners
         of facets, (cells, facets, corners of the facet), relative to the height of the cell.
         """
         out = self._tau * self._flux
@@ -306,8 +307,8 @@ class Sharpening:
         self._exchange(u, moves, _PASSES)
 
     def _fill(self, u: np.ndarray) -> None:
-        """Fill up the cells in which the amount of a body is negative, in place. Surroundings give this body
-        in proportion to their amounts of it, and get the other bodies in proportion to the cell's amounts."""
+        """Fill up cells with a negative amount of a body, in place. Surroundings give this body in proportion
+        to their amounts of it, and get the other bodies in proportion to the cell's amounts."""
         cell, _, neighbour, _ = self._facets.T
         giving, taking = np.concatenate([cell, neighbour]), np.concatenate([neighbour, cell])
         amounts, moves = self._contained(u)[self._amounts], _Moves()
@@ -321,8 +322,8 @@ class Sharpening:
         self._exchange(u, moves, 1)
 
     def _exchange(self, u: np.ndarray, moves: _Moves, passes: int) -> None:
-        """Make the ``moves`` in place, as far as cells have the amounts; a further pass moves what was held
-        back. In exchange for matter that fills up a negative amount a cell gives matter with its X/n."""
+        """Make the ``moves`` in place, as far as cells have the amounts; a further pass moves the amounts
+        held back. In exchange for matter that fills up a negative amount a cell gives matter with its X/n."""
         if not moves:  # one body
             return
         body = np.concatenate([np.repeat([[i], [j]], len(part), axis=1) for i, j, _, part in moves], axis=1)
@@ -385,8 +386,8 @@ class Sharpening:
         return is_apart
 
     def _projected(self, u: np.ndarray, i: int, j: int) -> np.ndarray:
-        """Integrals of (dim + 1) lambda over body i's part of a cell within the outline, divided by the
-        cell's size, (cells, corners)."""
+        """Integrals of (dim + 1) lambda over the part of a cell that body i's outline encloses, divided by
+        the cell's size, (cells, corners)."""
         lines, result = self._lines(u, i, j, at_start=False)
         result[lines.cells] = lines.projected()
         return result
@@ -398,8 +399,7 @@ class Sharpening:
 
     def _deviate(self, u: np.ndarray, cells: np.ndarray, deviation: np.ndarray) -> None:
         """Set amounts in ``cells`` to an even mixture with their means plus ``deviation``, (bodies, cells,
-        corners), in place; one factor of the deviations brings fractions into [0, 1], and tensors follow the
-        amounts.
+        corners), in place. One factor of the deviations brings fractions into [0, 1]; tensors follow amounts.
 
         Deviations have the mean 0 in each cell and the sum 0 at each corner, so that means and N stay.
         """

@@ -66,7 +66,7 @@ class Discretisation:
     Parameters
     ----------
     k : int
-        Order of the continuous velocity, 1, 2 or 3; order 1 needs walls along the axes, and admits no
+        Order of the continuous velocity, 1, 2 or 3. Order 1 needs walls along the axes, and admits no
         hyperviscosity.
     m : int
         Order of the discontinuous density and transported variables, 0, 1 or 2.
@@ -74,10 +74,12 @@ class Discretisation:
         Number added to the degree of all quadrature of forms and ledger, 0 to 12.
     sharp : bool
         Whether smeared interfaces between bodies of one density are sharpened after each step, in cells of
-        two bodies.  A cell that an interface crosses completely in a step is not sharpened.  Needs m = 1.
+        two bodies.  A cell that an interface crosses completely in a step is not sharpened.  The option needs
+        m = 1.
     outlines : bool
         Whether sharp interfaces follow outlines that the flow carries, in place of one plane in each cell.
-        Slots and films of a body may then be thinner than a cell.  Needs ``sharp`` and a mesh of triangles.
+        Slots and films of a body may then be thinner than a cell.  The option needs ``sharp`` and a mesh of
+        triangles.
     """
 
     k: Annotated[int, Quantity("1", "from 1 to 3")] = 2
@@ -100,8 +102,8 @@ class Introducing(Protocol):
 
 @dataclass(frozen=True)
 class Proxies:
-    """Trial or test functions by the unknowns' names; the parts of z and zeta also by the variables'
-    names."""
+    """Trial or test functions by the unknowns' names. The parts of z and zeta are also available by the
+    variables' names."""
 
     whole: dict[str, Any]
     of_variables: dict[str, dict[str, Any]]
@@ -172,11 +174,11 @@ class Layout:
         self._scalars = {kind: self._of_place(unknown, None) for kind, unknown in kinds.items()}
 
     def by_variables(self) -> FESpace:
-        """The compound space with a block for each variable's part of z and of zeta, with the coefficients of
-        ``space``.
+        """The compound space with one block for each variable's part of z and of zeta. Its coefficients are
+        those of ``space``.
 
-        NGSolve evaluates an integrand's derivative for all pairs of a component of a block that the integrand
-        reads, and a component of a block that tests the integrand.
+        NGSolve differentiates an integrand for pairs of components: one of a block that the integrand reads,
+        and one of a block that tests the integrand. All such pairs are evaluated.
         """
         spaces: list[FESpace] = []
         for name, block in self.blocks.items():
@@ -203,7 +205,7 @@ class Layout:
         mesh, ranks = self.mesh, Communicator.of(self.mesh)
         if not ranks.is_distributed:
             return int(self.space.ndof)
-        if self.periodic and isinstance(mesh, MeshPart):  # a rank sees further images of identified unknowns
+        if self.periodic and isinstance(mesh, MeshPart):  # a rank also sees images of identified unknowns
             return ranks.on_first(lambda: int(self.on(mesh.whole).space.ndof))
         return int(self.space.ndofglobal)
 

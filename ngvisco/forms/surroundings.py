@@ -15,7 +15,7 @@ class Surroundings:
     mesh : ngsolve.Mesh
         Mesh of triangles or tetrahedra.
     corners : array (cells, corners, dim)
-        Places of the cells' corners, m, in whose order arrays are.
+        Places of the cells' corners, m; all arrays have the corners in this order.
     periodic : bool
         Whether the mesh has identified boundaries.
     ranks : Communicator
@@ -32,7 +32,7 @@ class Surroundings:
     shared : Exchange
         Vertices that ranks share.
     halo : Halo
-        Cells of other ranks beside this rank's.
+        Cells of other ranks that are neighbours of this rank's cells.
     at_border : array (2, border facets)
         Cells and corners opposite to facets between ranks.
     """

@@ -1,6 +1,6 @@
 """The system of one Rothe step, summed in the paper's order.
 
-R(u; w) = 0, every term a left-hand side (paper: Euler-small-viscoelastodyn+disc for E,
+R(u; w) = 0, where every term is a left-hand side (paper: Euler-small-viscoelastodyn+disc for E,
 Euler-large-viscoelastodyn+disc for F, J, ...):
 
     continuity           (rho - rho_old)/tau + div(rho v)                         = 0
@@ -11,15 +11,16 @@ Euler-large-viscoelastodyn+disc for F, J, ...):
     conjugates           zeta - phi'(z)                                           = 0
     traces               z_hat - (z_1 + z_2)/2 on facets                          = 0
 
-with the creep rate Pi = R M, or the equation of Pi for nu > 0, and the regularising terms on request.
-The old momentum m_old is rho_old v_old for the paper's scheme; other schemes start from combinations of
-states, which are linear in (rho, m, z).
-``Step`` owns the spaces, the fields and the compiled forms; it knows no solver and no time loop.
+with the creep rate Pi = R M, or the equation of Pi for nu > 0, and with the regularising terms if a model has
+them.  The old momentum m_old is rho_old v_old for the paper's scheme; other schemes start from combinations
+of states, which are linear in (rho, m, z).  ``Step`` owns the spaces, the fields and the compiled forms; it
+knows no solver and no time loop.
 
-Local unknowns are functions of the others, evaluated exactly at every Newton iterate: zeta, |Hs|^2, its
-coefficient c_s and the hyperstress are unknowns only so that the elements can be condensed.  Newton's method
-for all unknowns at once may leave c_s negative and the velocity tangent indefinite.  Recomputing the local
-unknowns from (v, a, z) after every update gives Newton's method for the reduced, convex potential.
+Local unknowns are functions of the other unknowns, and are evaluated exactly at every Newton iterate. zeta,
+|Hs|^2, its coefficient c_s and the hyperstress are unknowns only so that the elements can be condensed.
+Newton's method for all unknowns at once may leave c_s negative and the velocity tangent indefinite.  If the
+local unknowns are recomputed from (v, a, z) after every update, the method is Newton's method for the
+reduced, convex potential.
 """
 
 from __future__ import annotations
@@ -107,7 +108,7 @@ class LocalUnknowns:
         self.largest = Largest()
         """Facet means that only grow during the iterates of a step."""
         self._means: list[LocalProjection | FacetProjection] = []
-        """Projections of the means over cells and facets that only a step's equations read."""
+        """Projections of means over cells and facets; only a step's equations read these means."""
         for term in terms:
             with refused_by_name(term):
                 for name, load in term.projections(u):
@@ -161,7 +162,8 @@ _NO_EQUATION = (
 
 
 def equations(model: Model, rates: TabulatedRates, m: int = 1) -> tuple[Term, ...]:
-    """The terms of a model's equations for fields of order ``m``, without walls, from its ``rates``."""
+    """The terms of a model's equations without walls, for fields of order ``m``, from the model's
+    ``rates``."""
     dim = rates.dim
     terms: list[Term] = [] if model.bodies else [Continuity(model.regularisation)]
     law = model.regularisation
@@ -282,7 +284,7 @@ class Step:
         self._recovered = slopes_of_interfaces(model, self.layout, self.context, self.quadrature)
         self.context.recovered_slopes |= {at: slope.target for at, slope in self._recovered.items()}
         self.lagged: GridFunction | None = None
-        """z of the last ``freeze``, whose lagged variables enter other variables' conjugates, or None."""
+        """z at the last ``freeze``; its lagged variables enter other variables' conjugates. None without."""
         if model.material.lagged:
             self.lagged = GridFunction(self.layout.blocks["z"], name="lagged")
             self.context.lagged = Fields(self.layout, {"z": self.lagged})
@@ -307,10 +309,10 @@ class Step:
         return self._residual()
 
     def residual_at(self, coefficients: np.ndarray, condense: bool = True) -> BilinearForm:
-        """The residual over the cells that have one of ``coefficients``, a mask of those of v.
+        """The residual over some cells: those that have one of ``coefficients``, a mask of coefficients of v.
 
-        The rows of these coefficients are those of the whole residual; with ``condense=False`` also those of
-        its linearisation's matrix.
+        The rows of these coefficients are the rows of the whole residual. With ``condense=False`` the same
+        holds for the rows of the linearisation's matrix.
         """
         velocity, cells = self.layout.blocks["v"], BitArray(self.layout.mesh.ne)
         for cell in range(self.layout.mesh.ne):
@@ -343,7 +345,7 @@ class Step:
         return self._fields(parts, self._linearised if self.stresses else self.context.rates, functions)
 
     def fields_from(self, old: Fields, momentum: CoefficientFunction) -> Fields:
-        """Fields of the present state in a step that starts from other fields ``old`` and another momentum,
+        """Fields of the present state in a step that starts from the fields ``old``, and from ``momentum``,
         kg/(m^2 s)."""
         u = self.linearised_fields(self.state.components)
         context = copy.copy(u.context)
@@ -370,17 +372,17 @@ class Step:
         return self.energy.density(self.now).Compile()
 
     def without_energy(self) -> np.ndarray:
-        """Numbers of this rank's cells with a point of the rule without a stored energy.
+        """Numbers of this rank's cells with a point of the rule at which there is no stored energy.
 
-        The array is always empty for an energy that has values at the quadrature points only: for such an
-        energy ``StoredEnergy.failure`` tells why a point has none.
+        The array is always empty for an energy that has values at the quadrature points only. For such an
+        energy ``StoredEnergy.failure`` tells why a point has no energy.
         """
         if self.energy.projected is not None:
             return np.zeros(0, dtype=int)
         return np.flatnonzero(~np.isfinite(self.quadrature.each_cell(self._energy)))
 
     def freeze(self) -> None:
-        """Set the lagged variables in other variables' conjugates to the present state."""
+        """Set the lagged variables that other variables' conjugates read to those of the present state."""
         if self.lagged is not None:
             self.lagged.vec.FV().NumPy()[:] = self.state.vec.FV().NumPy()[self.layout.ranges["z"]]
 
@@ -412,14 +414,14 @@ class Step:
         k, m = self.discretisation.k, self.discretisation.m
         if m < k - 1:
             entries.append(Entry(UNFELT, "monitor", Integrand(), Unfelt(u, self.quadrature, m)))
-        # moving walls also have the power of their reactions
+        # the reactions of moving walls have power, too
         return entries + [
             Entry(f"power_wall_{name}", "power", Integrand(), partial(self._reaction_power, name))
             for name in self.moving_walls.moving
         ]
 
     def _reaction_power(self, name: str) -> float:
-        """Power of a moving wall: the residual's rows on it, tested by v, W."""
+        """Power of a moving wall, W: the residual's rows on the wall, tested by v."""
         residual = self.state.vec.CreateVector()
         self._residual_at_moving_walls.Apply(self.state.vec, residual)
         return self.moving_walls.reaction_power(residual, name)

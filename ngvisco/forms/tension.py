@@ -13,7 +13,7 @@ from ngvisco.physics.model import Model
 from ngvisco.physics.variables import PRESSURE
 
 _SHARE = 0.02
-"""Tension up to this share of the largest pressure is ascribed to a surface and its cells."""
+"""Largest tension, as a share of the largest pressure, that may come from a surface and its cells."""
 _BORNE = 0.5
 """Share of the weight that pressure differences must bear at the start."""
 
@@ -54,8 +54,8 @@ class Tension:
 
 
 def unborne_weight(step: Step, sampler: Sampler) -> str | None:
-    """Message about a start whose pressure does not bear the weight although a law reads this pressure; else
-    None."""
+    """Message about a start whose pressure does not bear the weight; None unless a law reads this
+    pressure."""
     laws, ranks, dim = readers(step.model), sampler.ranks, step.mesh.dim
     loads = (load for load in step.model.loads if load.is_weight)
     weight = sum((step.now.rho * force_of(load, dim) for load in loads), CF((0.0,) * dim))

@@ -7,10 +7,10 @@ and w are trial and test functions of NGSolve, the integrands are the term's for
 and w are tests that only record their factors (``ngvisco.physics.arrays.Linear``), the integrands give the
 rows of a residual, its derivative by a complex increment of u, and columns of element matrices.
 
-``u.context.given(value)`` reads a function of place and time at the end of the step, and
-``u.context.average(value)`` its mean over the step, in cells.
+``u.context.given(value)`` is the value of a function of place and time at the end of the step.
+``u.context.average(value)`` is the function's mean over the step, in cells.
 
-A term that needs more than values at a point - an integral, another space - states its ``form`` alone.
+A term that needs more than values at a point, such as an integral or another space, gives its ``form`` alone.
 All other data that a term reads must stay constant through the run: ``Parameter.Get()`` is evaluated once,
 when the form is built.
 """
@@ -30,7 +30,7 @@ from ngvisco.forms.unknown import Setting, Unknown
 from ngvisco.physics.tensors import inner
 
 PRODUCTION = "entropy_production_"
-"""Prefix of the ledger's columns of entropy production, one a mechanism, never negative."""
+"""Prefix of the ledger's columns of entropy production; each mechanism has one, which is never negative."""
 
 
 Kind = Literal["dissipation", "power", "energy", "numerical", "monitor", "production", "flux"]
@@ -50,25 +50,25 @@ class Entry:
     kind: Kind
     integrand: Integrand
     evaluate: Callable[[], float] | None = None
-    """Function that gives a value that is not an integral: the reaction of a wall."""
+    """Function that gives the value, if the value is not an integral, as the power of a wall's reaction."""
     is_outside: bool = False
     """Whether the dissipation takes place beyond a wall, as in a dashpot, and does not heat the material."""
     has_sign: bool = True
-    """Whether a dissipation's integrand is nowhere negative; every step checks this. False if the sign holds
-    only up to the projection of conjugates."""
+    """Whether a dissipation's integrand is nowhere negative; every step checks this. False if the integrand
+    may be negative by the error of the conjugates' projection."""
     difference_of: Integrand | None = None
-    """Quantity whose rounding error the integrand has. If the integrand may be a small difference of two
-    quantities, it is the larger of them."""
+    """Quantity that determines the rounding error of the integrand. For an integrand that may be a small
+    difference of two quantities, it is the larger quantity."""
 
 
 @runtime_checkable
 class Term(Protocol):
     """One term of the system.
 
-    ``form(u, w)`` is the term's contribution to R(u; w) = 0, in summands that are assembled one by one:
-    NGSolve evaluates a whole integrand for each pair of its components, so that linearising small summands
-    is many times cheaper than linearising their sum.  ``entries(u)`` are the term's columns of the ledger,
-    such that form(u; v, zeta) is the sum of the entries' powers.
+    ``form(u, w)`` is the term's contribution to R(u; w) = 0, in summands that are assembled one by one.
+    NGSolve evaluates a whole integrand for each pair of its components, so that linearising small summands is
+    many times cheaper than linearising their sum.  ``entries(u)`` are the term's columns of the ledger;
+    form(u; v, zeta) is the sum of the entries' powers.
     """
 
     def form(self, u: Fields, w: Fields) -> list[Integrand]: ...
@@ -88,7 +88,7 @@ Integrands: TypeAlias = Callable[[CoefficientFunction], Sequence[Integrand]]
 """A linear form: its integrands as a function of the test function of a space."""
 
 CHANGE, SKEW, ELASTIC, ENTERING = "change of momentum", "skew form", "elastic force", "entering"
-"""Groups of the momentum balance without a column."""
+"""Groups of the momentum balance that have no column."""
 
 _RENAMED = {"nodes": "collocated", "dissipated_at_nodes": "dissipated_collocated"}
 
@@ -108,21 +108,21 @@ class PointTerm:
         and, through facet means, on neighbours; ``"flow"``: the term has rows of v, the walls' unknowns and
         the creep rate field only, by its form.  ``"flow"`` is the default of a class that defines ``form``.
     kernel : str or None
-        Part of the split solver that has its own matrices for the term, or solves it for its unknown; None if
+        Part of the split solver that has its own matrices for the term, or solves it for its unknown. None if
         rows and tangent follow from the integrands.  A derived class with other integrands is another
-        equation, so that ``kernel`` is None unless the class sets it.
+        equation, so that its ``kernel`` is None unless the class sets it.
     coupled_only : str or None
         Reason why only the coupled solver takes the term; None if both solvers take it.
     group : str or None
         Group of the momentum balance in which the term's rows of v count; ``""`` for a term that does no work
-        on rigid motions; None if the rows are a separate impulse, with the name ``impulse``.  Like
+        on rigid motions. None if the rows are an impulse of their own, with the name ``impulse``.  Like
         ``kernel``, it is None for a derived class with other integrands.
     wall : str or None
         Name of the wall on which alone the term acts.
     facet_mean : str or None
         Name of the mean of both sides that the term determines.
     mean_of : str or None
-        Name of the unknown in cells of which ``facet_mean`` is the mean; None for other functions.
+        Name of an unknown in cells, if ``facet_mean`` is its mean; None for means of other functions.
     stays : bool
         Whether the facet mean is kept at its largest value among the iterates of a step (``Largest``); such a
         mean must have the derivative zero.
@@ -131,9 +131,10 @@ class PointTerm:
         singular.
     weighs : bool
         Whether the rows of v contain the density, which is a function of z if there are bodies.  The tangent
-        by increments then has the derivative of these rows by z, also for a term that is not ``linearised``.
+        by increments then has the derivative of these rows by z, also if the term is not ``linearised``.
     plane_only : str or None
-        Reason why a body of revolution cannot have the term; None if ``L`` has all that the term reads.
+        Reason why a body of revolution cannot have the term; None if it can, because ``L`` has all that the
+        term reads.
     """
 
     linearised = True
@@ -171,22 +172,23 @@ class PointTerm:
         return ()
 
     def projections(self, u: Fields) -> list[tuple[str, Integrands]]:
-        """Names and loads of local unknowns that are cellwise projections of functions of other unknowns, in
-        the order of dependence."""
+        """Names and loads of the term's local unknowns, in the order of their dependence. These unknowns are
+        cellwise projections of functions of other unknowns."""
         return []
 
     def facet_projection(self, u: Fields) -> CoefficientFunction | None:
-        """The function with the mean ``facet_mean`` over each facet; None if a solver iterates on the
+        """The function whose mean over each facet is ``facet_mean``; None if a solver iterates on the
         mean."""
         return None
 
     def impulses(self, u: Fields, w: Fields) -> dict[str, list[Integrand]]:
-        """Summands of the rows of v, as left-hand sides, by the group or the impulse in which they count."""
+        """Summands of the rows of v, as left-hand sides; the keys are the groups or impulses in which they
+        count."""
         name = self.impulse if self.group is None else self.group
         return {name: self.form(u, w)} if name else {}
 
     def on_body(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
-        """Rows of v of a term on a ``wall``: -t . w with the stress t, Pa, on the facets of the wall."""
+        """Rows of v of a term on a ``wall``: -t . w on the facets of the wall, with the stress t, Pa."""
         return []
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
@@ -194,10 +196,10 @@ class PointTerm:
         return []
 
     def degree(self, k: int, m: int, rates: Any) -> int | None:
-        """Polynomial degree of ``cells`` on straight cells, for orders k of v and m of the fields, which the
-        split solver's quadrature rule has.
+        """Polynomial degree of ``cells`` on straight cells, for orders k of v and m of the fields. The split
+        solver's quadrature rule has this degree.
 
-        None if the integrands are no polynomials, or read data other than the old fields.
+        None if the integrands are not polynomials, or read data other than the old fields.
         """
         return None
 
@@ -292,7 +294,7 @@ DISSIPATED: dict[PointRule, Callable[[PointTerm, Fields], dict[str, CoefficientF
 
 
 def dissipations(u: Fields, reader: Term, where: PointRule = "cells") -> dict[str, CoefficientFunction]:
-    """Dissipation of all terms but ``reader`` by the ledger's names, W/m^3 in cells or at collocation points,
+    """Dissipation of all terms but ``reader`` by the ledger's names: W/m^3 in cells or at collocation points,
     W/m^2 on facets.
 
     ``reader`` is a term that turns dissipation into something else, such as heat.
@@ -308,15 +310,16 @@ def tested(value: CoefficientFunction) -> Integrands:
 
 @runtime_checkable
 class Storing(Protocol):
-    """A term with a time derivative, and so with a share E of the energy.
+    """A term with a time derivative, and therefore with a share of the energy E.
 
-    E is convex in the evolving unknowns: (rho, m, z), m the momentum functional, and the unknowns of further
-    terms (paper: Euler-ED-basic-convexity-calculus).
+    E is convex in the evolving unknowns: (rho, m, z), with the momentum functional m, and the unknowns of
+    further terms (paper: Euler-ED-basic-convexity-calculus).
 
     ``energy(u)`` is the density of E in cells or on facets, a share of the ledger's column ``"kinetic"`` or
-    ``"stored"``.  ``slope(b, d)`` is the density of E'(b)[d] at fixed m; it reads no velocity of d.
+    ``"stored"``.  ``slope(b, d)`` is the density of E'(b)[d] at fixed m; it does not read the velocity of d.
     ``distance(a, b)`` is the Bregman distance E(a) - E(b) - E'(b)[a - b] >= 0, a share of ``"inertial"`` or
-    ``"bregman"``, written without cancellation: a time scheme's dissipation is a sum of such distances.
+    ``"bregman"``. The distance is written without cancellation, since a time scheme's dissipation is a sum of
+    such distances.
     """
 
     def energy(self, u: Fields) -> Entry: ...
@@ -335,7 +338,8 @@ class WithheldError(NgviscoError, LookupError):
 
 
 class GivenParts(dict[str, Any]):
-    """Fields by name; any other name raises ``WithheldError`` with ``reason``, formatted with the name."""
+    """Fields by name. Any other name raises ``WithheldError`` with the text ``reason``, which contains the
+    name."""
 
     def __init__(self, fields: dict[str, Any], reason: str) -> None:
         super().__init__(fields)

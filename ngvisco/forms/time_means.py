@@ -1,9 +1,9 @@
 """Means over time of loads, tractions and walls' velocities (paper: g^k_{delta tau}, Euler-small-ass-g).
 
 ``rule`` finds times and weights that integrate a function over an interval to ``TOLERANCE`` of its largest
-value.  A function may contain conditions; bisection finds the times at which they change, its breaks. Gauss
-panels between breaks are halved until the halves and the whole agree.  The search evaluates the function at
-some points of space; it finds a change without a known break (``ngvisco.physics.signals``) if the change
+value.  A function may contain conditions; bisection finds its breaks, the times at which conditions change.
+Gauss panels between breaks are halved until the halves and the whole agree.  The search evaluates the
+function at some points of space. A change without a known break (``ngvisco.physics.signals``) is found if it
 lasts for a thirtieth of the interval. All ranks find the same rule.
 """
 
@@ -41,12 +41,12 @@ TOLERANCE = 1e-10
 
 _NODES, _WEIGHTS = (0.5 * values for values in np.polynomial.legendre.leggauss(5))
 _PANELS, _SCANS = 8, 32
-"""Number of panels into which a piece is first divided, and number of times at which the sign of a condition
+"""Number of panels into which a piece is first divided; and number of times at which the sign of a condition
 is evaluated."""
 _BISECTIONS, _BREAKS, _HALVINGS = 46, 64, 48
-"""Bisections of a break, to rounding; largest numbers of breaks and of halved panels."""
+"""Bisections of a break, to rounding; largest number of breaks; and largest number of halved panels."""
 _ROUNDING = 4e-16
-_SHARE = 1.0 / 64  # a panel shorter than this share of the interval has the tolerance of this share
+_SHARE = 1.0 / 64  # a shorter panel has the tolerance of a panel with this share of the interval
 _POINTS = 128  # points of space at which a function is evaluated, on each rank
 
 TimeFunction = Callable[[float], np.ndarray]
@@ -102,7 +102,7 @@ def _gauss(*intervals: tuple[float, float]) -> np.ndarray:
 
 _Panel: TypeAlias = tuple[float, float, float, tuple[np.ndarray, np.ndarray], np.ndarray]
 """A panel: minus the size of its error, its ends a and b, the integrals over its halves, and the error.  The
-error is the halves' sum less the integral of the whole.  A heap has the worst panel first."""
+error is the sum of the halves minus the integral of the whole.  A heap has the worst panel first."""
 
 
 class _RuleSearch:
@@ -140,8 +140,8 @@ class _RuleSearch:
         return (b - a) * sum(w * value for w, value in zip(_WEIGHTS, values, strict=True))
 
     def _resolved(self, a: float, b: float, look: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        """Nodes and weights of a piece, and their error; one panel suffices if it agrees with the first
-        panels."""
+        """Nodes and weights of a piece, and their error. One panel suffices if its integral agrees with that
+        of the first panels."""
         whole = self._integral(a, b)
         off = np.abs(whole - sum(look[1:], look[0]))
         if self._size(off) <= TOLERANCE * (b - a):
@@ -152,7 +152,7 @@ class _RuleSearch:
         while panels:
             size, a, b, halves, off = heappop(panels)
             middle = 0.5 * (a + b)
-            # a short panel is divided only if its error is large beside the whole, and not beside its length
+            # a short panel is not divided if its error is large only beside its own length
             is_small = -size <= TOLERANCE * max(b - a, _SHARE)
             if is_small or self.left <= 0 or not a < middle < b:
                 done.append(_gauss((a, middle), (middle, b)))
@@ -225,7 +225,7 @@ class TimeMean:
     ) -> None:
         self._value, self._make, self._mean = value, make, mean
         self._ranks = Communicator.of(mesh)
-        # rules without points at midpoints of edges
+        # these rules have no points at midpoints of edges
         of_kinds = rules(mesh.dim if walls is None else mesh.dim - 1, 4)
         points = mesh.MapToAllElements(of_kinds, VOL if walls is None else walls)
         self._points = points[:: -(-len(points) // _POINTS) or 1]
@@ -259,10 +259,10 @@ class TimeMean:
 
 
 def mean_in_cells(value: CoefficientFunction, mesh: Mesh, degree: int) -> tuple[GridFunction, TimeMean]:
-    """Mean of a function, projected on polynomials in cells of half the ``degree`` of the forms' rule.
+    """Mean of a function, projected onto polynomials in cells, of half the ``degree`` of the forms' rule.
 
-    Integrals of the projection by this rule against such polynomials equal integrals of the mean: on straight
-    cells rho g.w has such an integral, for densities and velocities of the rule's orders.
+    By this rule, integrals of the projection times such polynomials equal integrals of the mean. On straight
+    cells rho g.w is such an integral, if the rule belongs to the orders of rho and w.
     """
     scalar = L2(mesh, order=degree // 2)
     function = GridFunction(VectorValued(scalar, value.dim) if value.dim > 1 else scalar)

@@ -1,10 +1,10 @@
 """Motion that no variable feels: the part of a velocity of order k beyond the order m + 1 within cells.
 
-grad P_{m+1} = P_m: a variable of order m in cells feels the strains of velocities up to the order m + 1.
-For m < k - 1 only inertia and viscosity act on velocities of higher order; for k, m = 1, 0 or 2, 1 no
-velocity is of higher order. A wave in a box without viscosity, k = 2 and m = 0, has 63 % of its kinetic
-energy beyond P_1 after 2 s: a run needs a viscosity or a hyperviscosity that damps it.  With the cellwise
-projection Pi on P_{m+1},
+grad P_{m+1} = P_m: a variable of order m in cells feels the strains of velocities up to the order m + 1.  For
+m < k - 1 only inertia and viscosity act on velocities of higher order. For k, m = 1, 0 or 2, 1 no velocity is
+of higher order. A wave in a box without viscosity, for k = 2 and m = 0, has 63 % of its kinetic energy beyond
+P_1 after 2 s: a run needs a viscosity or a hyperviscosity that damps this motion.  With the cellwise
+projection Pi onto P_{m+1},
 
     unfelt = 1/2 int rho |v - Pi v|^2 >= 0,
 

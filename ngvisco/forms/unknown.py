@@ -18,8 +18,8 @@ _IN_CELLS = ("velocity", "cells", "continuous")
 class Unknown:
     """An unknown of a step.
 
-    Raises ParameterError for an unknown that evolves although its values are neither in cells nor on walls
-    given by ``on``, and for a scale that is not a number >= 0.
+    Raises ParameterError for an unknown that evolves although its values are neither in cells nor on the
+    walls given by ``on``, and for a scale that is not a number >= 0.
 
     Attributes
     ----------
@@ -39,16 +39,17 @@ class Unknown:
     space : callable or None
         Makes the space if ``place`` does not determine it, on the step's mesh or on the undistributed mesh.
     evolves : bool
-        Whether the unknown has a time derivative, as it must if a term reads its old value: schemes combine
-        its states, errors and increments count it, a transfer carries it over, ``Initial.values`` starts it.
+        Whether the unknown has a time derivative. It must have one if a term reads its old value. Schemes
+        combine the states of such an unknown, errors and increments count it, a transfer carries it over, and
+        ``Initial.values`` starts it.
     on : CoefficientFunction or None
-        Indicator of the wall's facets, 1 there and 0 on all others, for an evolving unknown of a wall.
+        Indicator of a wall's facets, 1 on them and 0 on all others, for an unknown that evolves on a wall.
     is_mean : bool
         Whether the unknown is a ``CellMean``, a constant in each cell.
     scale : float
-        Typical size, in the unknown's unit, >= 0: errors and increments count relative to the unknown's size
-        and to this scale; 0 for an unknown that is never zero everywhere.  The run sets the scale of v.
-        Errors of z have scales of their own (``ngvisco.timestepping.error``).
+        Typical size, in the unknown's unit, >= 0. Errors and increments count relative to the unknown's size
+        plus this scale. The scale is 0 for an unknown that is never zero everywhere.  The run sets the scale
+        of v. Errors of z have scales of their own (``ngvisco.timestepping.error``).
     """
 
     name: str

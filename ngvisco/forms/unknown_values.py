@@ -26,7 +26,7 @@ def hessian_basis(dim: int) -> np.ndarray:
 
 
 class Part:
-    """Descriptor of the part of ``UnknownValues`` with the attribute's name."""
+    """Descriptor of an attribute that is the part of ``UnknownValues`` with the attribute's name."""
 
     def __set_name__(self, owner: type, name: str) -> None:
         self.name = name
@@ -36,8 +36,8 @@ class Part:
 
 
 class Density(Part):
-    """Density or its trace, which is an unknown of the step, or the sum of rho_i n_i if the variables are
-    amounts of matter."""
+    """Density or its trace: an unknown of the step, or the sum of rho_i n_i if the variables are amounts of
+    matter."""
 
     def __get__(self, fields: UnknownValues, owner: type) -> CoefficientFunction:
         if self.name in fields.layout.unknowns:
@@ -48,7 +48,7 @@ class Density(Part):
 class UnknownValues:
     """The unknowns of a step (or tests, or known values) under the paper's symbols.
 
-    Attributes are evaluated on access: a form contains only the attributes that it names.
+    Attributes are evaluated when they are read, so that a form contains only the attributes that it names.
     """
 
     v = Part()
@@ -67,7 +67,7 @@ class UnknownValues:
     zeta_delta_hat = Part()
     """Mean of both sides' conjugates in the delta-regularisation."""
     z_slope_hat = Part()
-    """Jump of the slope's normal part over the sum of both sides' weights."""
+    """Jump of the slope's normal part, divided by the sum of both sides' weights."""
     hess_square = Part()
     """Projected square s = |Hs|^2 of the recovered Hessian."""
     hyper_coefficient = Part()
@@ -84,17 +84,19 @@ class UnknownValues:
         rows: int | None = None,
         functions: Proxies | None = None,
     ) -> None:
-        """``functions``, if given, are the trial or test functions with these parts; they have gradients."""
+        """``functions``, if given, are the trial or test functions whose parts are ``parts``; they provide
+        gradients."""
         self.layout, self.parts = layout, parts
         self.dim: int = layout.mesh.dim
         self.rows = self.dim if rows is None else rows
-        # the function refers only to the parts: a reference to the values would keep their arrays alive
+        # this function refers to the parts alone: a reference to the values would keep their arrays alive
         self.gradient = gradient or (functions.gradient if functions else lambda name: Grad(parts[name]))
         self._variables = functions.of_variables if functions else {}
         self._made: dict[str, Any] = {}
 
     def once(self, name: str, make: Callable[[], Any]) -> Any:
-        """The result of ``make``, a function of these values, made once for all terms that read it."""
+        """The result of ``make``, a function of these values. The result is made once, for all terms that
+        read it."""
         if name not in self._made:
             self._made[name] = make()
         return self._made[name]

@@ -1,13 +1,13 @@
 """Traces on facets, means of both sides, and the speed in upwinding.
 
 A trace is the mean of the values on both sides of a facet, and the inner value on a wall.  Transport and
-elastic force use the same trace for either flow direction: with one-sided weights the force of a jump would
+elastic force use the same trace for either flow direction. With one-sided weights the force of a jump would
 be a thrust on the body, of the size of the Bregman distance between both sides
 (``ngvisco.forms.terms.transport``).  Upwinding is a separate term, in the transport alone,
 
     sum_K int_{dK} |v . n| (a - a_hat) t = 1/2 int |v . n| [a] [t]    over the facets between two cells.
 
-Upwinding and the term with the mean together are the flux of the upstream side's value.
+The sum of upwinding and the term with the mean is the flux of the upstream side's value.
 """
 
 from abc import abstractmethod
@@ -61,8 +61,8 @@ def side(u: Fields) -> CoefficientFunction:
 class Largest:
     """Largest values of facet means among the iterates of a step, by the means' names.
 
-    A term that a mean switches off at a facet stays off, because an equation that switched the term on and
-    off near its solution would have no solution.
+    A term that a mean switches off at a facet stays off. If the term could be switched on again near its
+    solution, the equation might have no solution.
     """
 
     def __init__(self) -> None:

@@ -1,10 +1,10 @@
 """The boundaries of a mesh: their names, directions and identifications, and walls that are refused.
 
 Straight facets on a curved wall are refused.  A continuous velocity with v.n = 0 on every side of a polygon
-vanishes at all corners, and in the limit on the whole wall that the polygon approaches (Babuska): slip turns
-into no slip, and refinement does not help.  Measured convergence rates of v and grad v on polygons in a disc
-are 1.3 and 0.6 with k = 3.  With k = 2 only the mean of v.n vanishes on each side: the rates are 2.4 and 2,
-and the error of the geometry remains.
+vanishes at all corners. In the limit it vanishes on the whole wall that the polygon approaches (Babuska):
+slip turns into no slip, and refinement does not help.  On polygons in a disc the measured convergence rates
+of v and grad v are 1.3 and 0.6 with k = 3.  With k = 2 only the mean of v.n vanishes on each side: the rates
+are 2.4 and 2, and the error of the geometry remains.
 """
 
 from __future__ import annotations
@@ -45,10 +45,10 @@ from ngvisco.parallel.communicator import Communicator
 from ngvisco.words import Words, call
 
 _PARALLEL = 1e-10
-# rad: a smaller angle between two facets is rounding of coordinates; the facets lie in one plane
+# rad: two facets with a smaller angle lie in one plane, since the angle is rounding of their coordinates
 _FLAT = 1e-4
 _CORNER = np.deg2rad(59.0)  # a larger angle is a corner of the domain, not of its approximation
-_CURVED = 0.5  # largest ratio of the facets' angle to their chords' angle; 1 if straight
+_CURVED = 0.5  # largest ratio, on a curved wall, of the facets' angle to their chords' angle; 1 if straight
 
 
 def check_boundary_names(mesh: Mesh, names: Iterable[str], owner: str = "walls") -> None:
@@ -86,7 +86,7 @@ def periodic_boundaries(mesh: Mesh) -> set[str]:
 
 
 def interior_boundaries(mesh: Mesh) -> set[str]:
-    """Names of interfaces, boundaries whose parts all lie between two cells; interfaces are no walls.
+    """Names of interfaces: boundaries whose parts all lie between two cells. Interfaces are not walls.
 
     Raises MeshError if a part of the boundary (Netgen: an edge or face of the geometry) lies only partly
     between two cells.
@@ -113,8 +113,8 @@ def walls_of(mesh: Mesh, names: Iterable[str]) -> Region:
 
 
 def _interfaces(mesh: Mesh) -> set[int]:
-    """Numbers of the boundaries' parts that lie between two cells; MeshError for a part that lies only partly
-    between cells."""
+    """Numbers of the boundaries' parts that lie between two cells. Raises MeshError for a part that lies only
+    partly between cells."""
     totals = _counts(mesh, facets_with_two_sides(mesh) & boundary_facets(mesh))
     for name, (outer, inner) in zip(mesh.GetBoundaries(), totals, strict=True):
         if outer and inner:
@@ -126,7 +126,7 @@ def _interfaces(mesh: Mesh) -> set[int]:
 
 
 def _counts(mesh: Mesh, chosen: np.ndarray) -> np.ndarray:
-    """Numbers of unchosen and of chosen facets in each part of the boundary, (parts, 2)."""
+    """Numbers of facets that are not chosen and that are chosen, in each part of the boundary, (parts, 2)."""
     counts = np.zeros((len(mesh.GetBoundaries()), 2), dtype=int)
     if mesh.comm.Sum(int(chosen.any())):
         parts = [element.index for element in mesh.Elements(BND)]
@@ -158,9 +158,10 @@ def require_curved_cells(mesh: Mesh, walls: Mapping[str, Region]) -> None:
     """Raise MeshError if a wall is bent by small angles between straight facets.
 
     A polyhedron cannot be distinguished from an approximation of a curved wall with certainty.  The check
-    compares the normals of neighbouring facets of one wall where the facets meet: on curved cells their angle
-    is far smaller than the angle of the straight facets with the same vertices; on straight cells the angles
-    are equal.  Facets of different names are not compared: planes with different names may meet at any angle.
+    compares the normals of neighbouring facets of one wall, where the facets meet. On curved cells the angle
+    of these normals is far smaller than the angle of the straight facets with the same vertices; on straight
+    cells the two angles are equal.  Facets of different names are not compared: planes with different names
+    may meet at any angle.
     """
     for name, region in walls.items():
         if angle := bend(mesh, region):
@@ -181,7 +182,7 @@ def bend(mesh: Mesh, wall: Region) -> float:
 
 
 _Facet: TypeAlias = tuple[np.ndarray, dict[bytes, np.ndarray]]
-"""Outward unit normals: the normal of a facet's chord, and the normals at the facet's vertices by their
+"""Outward unit normals of a facet: the normal of its chord, and the normals at its vertices by the vertices'
 coordinates."""
 
 

@@ -1,7 +1,7 @@
-"""Displacements of walls that matter crosses, and springs that pull them back.
+"""Displacements of walls that matter crosses, and springs that pull these walls back.
 
 The displacement w follows the velocity, dw/dt = v, so that w . n is the integral of v . n over time.  The
-mesh does not move: the wall stays at its place in the body at rest, and w is small beside a cell.
+mesh does not move: the wall stays at its place in the body at rest, and w has to be small beside a cell.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 class Displacement(OnWall):
-    """Equation of the displacement w of one wall, int (w - w_old)/tau . q - int v . q = 0, q its test.
+    """Equation of the displacement w of one wall, int (w - w_old)/tau . q - int v . q = 0, with the test q.
 
     w is in the space of the traces of v, so that the equation holds at every point.
     """
@@ -55,14 +55,15 @@ class Displacement(OnWall):
 
 
 class Springs(Displacement):
-    """Displacement of an ``Open`` wall with springs, int K w . u, u the test of v.
+    """Displacement of an ``Open`` wall with springs, int K w . u, with the test u of v.
 
     Springs to a rigid ground, an elastic foundation, pull the wall back by t = -K w,
-    K = k_p n x n + k_s (I - n x n) in Pa/m.  With w - w_old = tau v
+    K = k_p n x n + k_s (I - n x n) in Pa/m.  With w - w_old = tau v the work of the wall on the
+    springs,
 
         tau int K w . v = E(w) - E(w_old) + E(w - w_old),    E(w) = 1/2 int K w . w,
 
-    the change of the stored energy, and the dissipation of the implicit step.
+    is the sum of the change of the stored energy and the dissipation of the implicit step.
     """
 
     acts_by = "springs"
@@ -96,7 +97,8 @@ class Springs(Displacement):
 
 
 def displacement_of(walls: Walls, name: str) -> Displacement | None:
-    """Displacement term of a wall that matter crosses; None without springs and without ``displacement``."""
+    """Displacement term of a wall that matter crosses; None if the wall has neither springs nor
+    ``displacement``."""
     wall = walls.conditions[name]
     assert isinstance(wall, Passage)
     if isinstance(wall, Open) and any(wall.stiffness):
@@ -105,7 +107,8 @@ def displacement_of(walls: Walls, name: str) -> Displacement | None:
 
 
 def _traces(mesh: Mesh, name: str, order: int) -> FESpace:
-    """Space of continuous vectors' traces on a wall, whose facets may belong to other ranks; collective."""
+    """Space of the traces of continuous vectors on a wall; the wall's facets may be on other ranks;
+    collective."""
     space = H1(mesh, order=order)
     active = space.GetDofs(walls_of(mesh, [name]))
     on_some_rank = Exchange.of(space, Communicator.of(mesh)).sum(mask_of(active).astype(float))

@@ -2,10 +2,11 @@
 
 The velocity of a momentum functional satisfies int rho v . w = <m, w> for all w that the walls admit.  Among
 these w, the velocity maximises <m, w> - 1/2 int rho |w|^2, and the maximum is E(rho, m).  Prescribed
-coefficients are kept, and on oblique and curved walls (v . n, mu) = 0 for all multipliers mu (paper:
-Euler-small-BC-hyper).  One scalar mass matrix serves all components; conjugate gradients with its diagonal D
-take 30 to 60 iterations on any mesh.  With multipliers, the iterations run in the null space of the walls'
-condition C v = 0.  The projection onto this space in the inner product of D (``WallProjection``) is
+coefficients are kept. On oblique and curved walls (v . n, mu) = 0 for all multipliers mu (paper:
+Euler-small-BC-hyper).  One scalar mass matrix serves all components. Conjugate gradients, preconditioned with
+its diagonal D, take 30 to 60 iterations on any mesh.  With multipliers, the iterations run in the null space
+of the walls' condition C v = 0.  The projection onto this space in the inner product of D
+(``WallProjection``) is
 
     I - D^-1 C^T (C D^-1 C^T)^-1 C.
 
@@ -43,15 +44,15 @@ from ngvisco.physics.tensors import inner
 
 _REDUCTION, _CORRECTIONS, _ITERATIONS = 1e-9, 4, 1000
 _ROUNDING, _ENOUGH = 3e-16, 1e-13
-"""Residual relative to <m, .> at which the iteration ends, and the largest residual that is accepted. The
-residual enters the closure of the energy."""
+"""Two residuals relative to <m, .>: the residual at which the iteration ends, and the largest one that is
+accepted. The residual enters the closure of the energy."""
 
 
 class WallProjection:
-    """Projection of free coefficients of v on the walls' null space; collective, for summed vectors of v.
+    """Projection of free coefficients of v onto the walls' null space; collective, for summed vectors of v.
 
-    ``term`` has the multipliers; each belongs to one rank, since a wall's facet has one cell.  ``free`` is
-    the mask of coefficients of v that are not prescribed.
+    ``term`` has the multipliers; each multiplier belongs to one rank, since a wall's facet has one cell.
+    ``free`` is the mask of coefficients of v that are not prescribed.
     """
 
     def __init__(
@@ -128,7 +129,7 @@ class WallProjection:
     def completed(self, v: np.ndarray) -> np.ndarray:
         """The free coefficients nearest to those of v with which v satisfies the walls' condition."""
         rows = self._normal_velocity(v)
-        if self._of:  # subtract the pistons' v.n at the present time
+        if self._of:  # the pistons' v.n at the present time is subtracted
             rows -= self._given.Assemble().vec.FV().NumPy()
         return v[self.free] - self._taken(rows) / self._root
 
@@ -141,7 +142,7 @@ class WallProjection:
 
 
 class VelocityOfMomentum:
-    """Solver for the velocity in a state from rho > 0, kg/m^3, and m, kg/(m^2 s).
+    """Solver that computes the velocity in a state from rho > 0, kg/m^3, and m, kg/(m^2 s).
 
     The state's v is the start value of the iteration, and has the prescribed coefficients.  m has values at
     the points of ``quadrature``; ``term`` is None without multipliers.
@@ -221,7 +222,7 @@ class VelocityOfMomentum:
         size = ranks.norm(momentum[self._own]) or 1.0
         left = np.inf
         for _ in range(_CORRECTIONS):
-            # projected twice, because the rounding of large rows at walls is not in the operator's range
+            # projected twice: large rows at walls leave rounding that is not in the operator's range
             residual = project_back(project_back((momentum - exchange.sum(mass @ v))[free]))
             last, left = left, ranks.norm(residual[self._own_free])
             if left <= _ROUNDING * size or not left < 0.5 * last:
@@ -247,5 +248,5 @@ def project_velocity(
     term: Impenetrability | None,
     quadrature: Quadrature,
 ) -> None:
-    """Set v to the L2 projection of v_0 on the velocities that the walls admit."""
+    """Set v to the L2 projection of v_0 onto the velocities that the walls admit."""
     VelocityOfMomentum(layout, state, CF(1.0), CF(v_0), term, quadrature)()

@@ -1,14 +1,14 @@
 """Terms by which walls enter the system: multipliers for v.n = 0, given stresses, and passages of matter.
 
-For smooth fields B_h(w; z, zeta) = int T : grad w - int phi (w . n) (``ngvisco.forms.terms.transport``): on a
-wall that matter crosses, without further terms, the natural condition of the momentum equation would be T n =
-phi n.  The terms on such a wall add
+For smooth fields B_h(w; z, zeta) = int T : grad w - int phi (w . n) (``ngvisco.forms.terms.transport``).
+Without further terms, the natural condition of the momentum equation on a wall that matter crosses would
+therefore be T n = phi n.  The terms on such a wall add
 
     + int_Gamma phi (w . n) + 1/2 int_Gamma j v . w - int_Gamma t . w,
 
-with phi = phi(z); the second term comes from the skew form of convection.  The trace on a wall is the value
-inside the body, so that T n = t for any inflow.  Inflowing matter has the values z_in and rho_in, which are
-given or taken from the middle of the cell, and enters by the transport alone: with a^- = max(-a, 0)
+with phi = phi(z). The second term comes from the skew form of convection.  The trace on a wall is the value
+inside the body, so that T n = t for any inflow.  Inflowing matter has the values z_in and rho_in. These are
+given, or are the values in the middle of the cell. They enter by the transport alone: with a^- = max(-a, 0)
 
     - int (v . n)^- (z_in - z) : G        in the kinematic equations,
     j = (v . n) rho - (v . n)^- (rho_in - rho)        the flux of mass.
@@ -24,7 +24,8 @@ At w = v the two uses of B_h cancel on these facets too:
     int rho - int rho_old = -tau int j,
 
 exactly, for any inflow; with heat, the flux of entropy changes the entropy too.  Inflowing matter brings
-energy, so that the balance of an inlet has no sign.  With bodies each density n_i is carried in this way.
+energy, so that the energy balance of an inlet has no sign.  With bodies each density n_i is carried in this
+way.
 """
 
 from __future__ import annotations
@@ -54,15 +55,15 @@ from ngvisco.physics.walls import NavierFriction, Open, Passage, PrescribedNorma
 from ngvisco.words import Mention, Words
 
 HELD_BY_WALLS = "walls"
-"""Name, in the ledger, of the impulse of all walls that hold v or its normal part."""
+"""Name, in the ledger, of the impulse of all walls that hold v or the normal part of v."""
 
 
 class Impenetrability(PointTerm):
     """Multiplier form of v.n = 0 on oblique and curved walls: int_Gamma lambda (w.n) + mu (v.n) = 0.
 
     lambda is the normal stress of the wall, Pa.  Its power int lambda (v.n) vanishes exactly by the row
-    mu = lambda, so that the ledger has no entry of it.  Although v.n is not zero at every point of the wall,
-    nothing is carried through it (``Upwinding``).
+    mu = lambda, so that the ledger has no entry for it.  Nothing is carried through the wall
+    (``Upwinding``), although v.n is not zero at every point of it.
     """
 
     couples = "flow"
@@ -91,7 +92,7 @@ class Impenetrability(PointTerm):
 
 
 class Piston(OnWall):
-    """Right-hand side -int_Gamma mu V of ``Impenetrability`` on one oblique or curved wall: v.n = V.
+    """Right-hand side -int_Gamma mu V of ``Impenetrability`` on one oblique or curved wall with v.n = V.
 
     The power of the wall is -int lambda (v.n).
     """
@@ -164,8 +165,8 @@ def _tangential(a: CoefficientFunction, n: CoefficientFunction) -> CoefficientFu
 class Carried(OnWall):
     """Passage of matter through one wall, int phi (w . n) + 1/2 int j v . w and the inflow, see the module.
 
-    With ``backflow`` (``Open``) the second integral has the outflow only, 1/2 int rho (v . n)^+ v . w, so
-    that 1/2 int rho_in (v . n)^- |v|^2 >= 0 is a dissipation.
+    With ``backflow`` (``Open``) the second integral has the outflow only: 1/2 int rho (v . n)^+ v . w. Then
+    1/2 int rho_in (v . n)^- |v|^2 >= 0 is a dissipation.
     """
 
     couples = "local"
@@ -188,10 +189,10 @@ class Carried(OnWall):
         return self.given.density is None if name == "rho" else self.given.is_of_density_alone
 
     def entering(self, u: Fields, name: str) -> CoefficientFunction:
-        """Inflowing value of ``"rho"`` or ``"z"`` on a cell's side.
+        """Value of ``"rho"`` or ``"z"`` that flows in through a cell's side.
 
-        A quantity that is not given enters with the cell's value without its slope; with the slope the value
-        would grow from step to step.
+        A quantity that is not given enters with the cell's value but without the cell's slope; with the slope
+        the value would grow from step to step.
         """
         inner_value = self._middle(u, name)
         if self.continues(name):
@@ -200,7 +201,7 @@ class Carried(OnWall):
         if name == "rho":
             return given.density
         inside = u.layout.states.tensors(lambda: inner_value)
-        here = u.context.given(self.indicator)  # on other walls means are zero, and the energy may be NaN
+        here = u.context.given(self.indicator)  # other walls are left out: means are zero, energies maybe NaN
         values = {name: inside[name] for name in inside}
         values |= {name: inside[name] + here * (value - inside[name]) for name, value in given.values.items()}
         if given.temperature is not None:
@@ -253,7 +254,8 @@ class Carried(OnWall):
         return if_positive(self._normal_velocity(u), flux, 0.0 * flux) if self.backflow else flux
 
     def _stored(self, u: Fields) -> CoefficientFunction:
-        """Energy phi(z), Pa, on this wall; 0 elsewhere, where traces may have no energy (``StoredMean``)."""
+        """Energy phi(z), Pa, on this wall; 0 on other walls, where traces may have no energy
+        (``StoredMean``)."""
         if StoredMean.name in u.layout.unknowns:
             return u.parts[StoredMean.name] + inner(u.zeta, u.z - self._middle(u, "z"))
         return if_positive(u.context.given(self.indicator), u.context.rates.stored(u), 0.0)
@@ -271,7 +273,7 @@ class Carried(OnWall):
         return [stored, (0.5 * self._carried_momentum(u)) * (w.v * u.v), -inner(self._added(u, "z"), w.z)]
 
     def impulses(self, u: Fields, w: Fields) -> dict[str, list[Integrand]]:
-        # inertia's skew form has the other half of the outgoing momentum
+        # the skew form of inertia has the other half of the outgoing momentum
         (stored, kinetic, _), half = self.facets(u, w), 0.5 * self._mass_flux(u) * (w.v * u.v)
         carried = [Integrand(facets=kinetic), Integrand(facets=half)]
         return {ENTERING: [Integrand(facets=stored)], SKEW: [Integrand(facets=-half)], self.impulse: carried}
@@ -300,10 +302,11 @@ class Carried(OnWall):
 
 
 class StoredMean(CellMean):
-    """Equation of the cell mean of phi, Pa, for an energy with values at the points of the cells' rule only.
+    """Equation of the cell mean of phi, Pa, for energies that have values at the points of the cells' rule
+    only.
 
-    Bodies of different volumetric energies and Yosida's approximation have such energies.  On a wall phi is
-    replaced by the mean plus zeta : (z - z_K), z_K the value at the middle of the cell.  The error of this
+    Bodies of different volumetric energies and Yosida's approximation have such energies.  On a wall the mean
+    plus zeta : (z - z_K) replaces phi, where z_K is the value at the middle of the cell.  The error of this
     value, and therefore of T n - t, is of second order in the cell's size.
     """
 
@@ -339,7 +342,7 @@ class GivenStress(OnWall):
         return load if self.f is None else load + c.average(self.f, self.region)
 
     def at(self, u: Fields, n: CoefficientFunction) -> CoefficientFunction:
-        """Stress t of the wall and its springs at the present time and state, Pa, for points of the wall."""
+        """Stress t of the wall and its springs, Pa, at the present time and state, for points of the wall."""
         wall, t = self._wall, -self.pressure * n
         for factors, name in ((wall.impedance, "v"), (wall.stiffness, f"displacement_{self.name}")):
             if any(factors):
@@ -385,7 +388,7 @@ def passages_of(walls: Walls, model: Model) -> tuple[Carried, ...]:
 def wall_terms(
     walls: Walls, model: Model, held: Impenetrability | None, passages: Sequence[Carried]
 ) -> tuple[PointTerm, ...]:
-    """Terms by which walls enter the system; a condition that the space imposes needs none."""
+    """Terms by which walls enter the system; a condition that the space imposes needs no term."""
     named = walls.conditions.items()
     return (
         *(() if held is None else (held, *held.pistons)),
@@ -398,7 +401,7 @@ def wall_terms(
 
 
 def _not_known(model: Model) -> Words | None:
-    """Reason why nothing can cross a wall with this model, or None."""
+    """The reason why matter cannot cross a wall with this model; None if it can."""
     law = model.regularisation
     if law is not None and law.rho_max is not None:
         return Words("the flux through other walls is unknown with ", Mention("Regularisation.rho_max"))

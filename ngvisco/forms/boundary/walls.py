@@ -1,11 +1,11 @@
 """Walls: v.n = 0 with a free tangential part (paper: Euler-small-BC-hyper), or a prescribed velocity.
 
-On a wall parallel to the axes the space constrains one component of v exactly.
-A form that a wall adds to the system (a multiplier for an oblique or curved wall, friction, traction) is a
-``Term`` that ``wall_terms`` returns; the step sums it like every other term.  Wall terms are integrals over
-cell boundaries with a facetwise indicator of the wall, so that they have the quadrature of all facet
-terms.  On curved geometries the mesh must be curved (``mesh.Curve(order)``): v.n = 0 on
-polygons that approach a curved wall locks v (Babuska).
+On a wall parallel to the axes the space constrains one component of v exactly.  Other conditions (a
+multiplier for an oblique or curved wall, friction, traction) add a form to the system. This form is a
+``Term`` that ``wall_terms`` returns, and the step sums it like every other term.  Wall terms are integrals
+over cell boundaries with a facetwise indicator of the wall, so that they have the quadrature of all facet
+terms.  On curved geometries the mesh must be curved (``mesh.Curve(order)``): v.n = 0 on polygons that
+approach a curved wall locks v (Babuska).
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ Conditions: TypeAlias = "Mapping[str | tuple[str, ...], Wall] | Sequence[tuple[s
 
 
 class Walls:
-    """The conditions on the boundaries of a mesh, and the constraints of the spaces that they need.
+    """The conditions on the boundaries of a mesh, and the constraints that they put on the spaces.
 
     ``conditions`` maps boundary names (or tuples of names) to Wall objects, or is a sequence of such pairs.
     Unnamed boundaries slip.  Boundaries that the mesh identifies, and interfaces between cells, are no walls,
@@ -142,9 +142,9 @@ class Walls:
 
         ``mesh`` is the step's mesh or the undistributed one.  The traces v.n allow at most P_{k-1}.  In 3D
         P_{k-1} has more unknowns than there are normal traces.  In 2D, on a closed curve, P_{k-1} has as
-        many unknowns as there are traces; but for even k the trace with one Legendre polynomial of degree k
-        on every edge is orthogonal to P_{k-1}.  A chain of n edges with prescribed v at its ends has n k - 1
-        traces, so that the first and the last edge have one unknown less.
+        many unknowns as there are traces. For even k this is too many: the trace with one Legendre polynomial
+        of degree k on every edge is orthogonal to P_{k-1}.  A chain of n edges with prescribed v at its ends
+        has n k - 1 traces, so that the first and the last edge have one unknown less.
         """
         fine = mesh.dim == 2 and k == 3
         order = k - 1 if fine else k - 2
@@ -160,8 +160,8 @@ class Walls:
 
 
 def velocity_of(wall: Wall, dim: int, owner: str) -> CoefficientFunction:
-    """The velocity that a wall prescribes, m/s, or the normal part of this velocity; ParameterError for an
-    invalid velocity."""
+    """The velocity that a wall prescribes, m/s, or the normal part of this velocity. Raises ParameterError
+    for an invalid velocity."""
     field, velocity = f"{owner}.velocity", vars(wall)["velocity"]
     if wall.is_held:
         return as_vector(velocity, dim, field)
@@ -169,7 +169,7 @@ def velocity_of(wall: Wall, dim: int, owner: str) -> CoefficientFunction:
 
 
 def _vertices(region: Region) -> np.ndarray:
-    """Mask of the vertices on a boundary, whose facets may belong to other ranks, (vertices,); collective."""
+    """Mask of the vertices on a boundary, (vertices,); the facets may be on other ranks; collective."""
     mesh = region.mesh
     mask = np.zeros(mesh.nv)
     mask[[v.nr for element in region.Elements() for v in element.vertices]] = 1.0
@@ -192,9 +192,10 @@ def _by_name(conditions: Conditions) -> dict[str, Wall]:
 class MovingWalls:
     """The constrained coefficients of v: zero, or a prescribed wall velocity.
 
-    A Rothe step uses the mean of the wall's velocity over the interval in which loads are averaged: the
+    A Rothe step uses the mean of the wall's velocity over the interval in which loads are averaged. The
     wall's displacement over the step is then exact for any motion.  The rows of R(u; .) at these coefficients
-    are the wall's reaction; tested by v they give its power, a part of the energy identity.
+    are the wall's reaction. Tested by v, they give the reaction's power, which is a part of the energy
+    identity.
     """
 
     def __init__(self, walls: Walls, layout: StepLayout, state: GridFunction) -> None:
@@ -205,7 +206,7 @@ class MovingWalls:
         self._inverses: dict[str, BaseMatrix] = {}
         self.zero = self.constrained(layout, walls.homogeneous)
         self.moving: dict[str, tuple[CoefficientFunction, np.ndarray]] = {}
-        """Velocity, and mask of the coefficients of v, for each moving wall."""
+        """For each moving wall: its velocity, and the mask of its coefficients of v."""
         self._means: dict[str, tuple[np.ndarray, TimeMean]] = {}
         prescribed, dim = self.zero.copy(), walls.mesh.dim
         for name, wall in walls.conditions.items():
@@ -282,8 +283,8 @@ class MovingWalls:
         return self._values.vec.FV().NumPy()
 
     def _project(self, name: str, velocity: CoefficientFunction) -> None:
-        """Project in L2 on the wall; NGSolve's ``Set`` is wrong in a facet that contains a vertex and its
-        periodic image."""
+        """Project in L2 on the wall. NGSolve's ``Set`` is wrong on a facet that contains a vertex and the
+        periodic image of this vertex."""
         space, region = self._values.space, self.walls.region([name])
         trial, test = space.TnT()
         if name not in self._inverses:

@@ -13,8 +13,8 @@ from ngvisco.parallel.mesh import MeshPart
 from ngvisco.shapes.places import mesh_points
 
 _PULLS = (1e-9, 1e-6, 1e-4, 1e-3)
-"""Shares of the way to the centre of a near cell.  A point on a wall is moved by such a share if it is just
-outside of all cells, by rounding or by the polynomials of a curved wall."""
+"""Shares of the way from a point to the centre of a near cell.  A point on a wall may be just outside of all
+cells, by rounding or by the polynomials of a curved wall. It is then moved by such a share."""
 
 
 def as_points(field: str, value: object, dim: int) -> np.ndarray:
@@ -35,8 +35,8 @@ def as_points(field: str, value: object, dim: int) -> np.ndarray:
 def locate(mesh: Mesh, points: np.ndarray, names: Sequence[str]) -> np.ndarray:
     """The mesh points at ``points``, (count, dim), m; ``names`` are the points' names in errors.
 
-    A point outside the domain counts as a point on its wall within 1e-3 of a cell's size.  Raises
-    ParameterError for a point farther outside.
+    A point outside the domain counts as a point on its wall if its distance is within 1e-3 of a cell's size.
+    Raises ParameterError for a point farther outside.
     """
     places: np.ndarray = mesh(*points.T)
     for number in np.flatnonzero(places["nr"] < 0):
@@ -47,10 +47,10 @@ def locate(mesh: Mesh, points: np.ndarray, names: Sequence[str]) -> np.ndarray:
 class Located:
     """Points of space, (count, dim), m, for functions on a mesh; ``names`` are their names in errors.
 
-    Over ranks each rank has its points, and a point lies in the same cell as on one process: a function that
-    jumps across facets has one value at the point.  Construction and evaluation are collective.  Raises
-    ParameterError for a point outside the domain, and for a distributed mesh that ``Simulation`` did not
-    distribute, since the undistributed mesh is not known.
+    Over ranks each rank has its points, and a point lies in the same cell as on one process. A function that
+    jumps across facets therefore has one value at the point.  Construction and evaluation are collective.
+    Raises ParameterError for a point outside the domain, and for a distributed mesh that ``Simulation`` did
+    not distribute, since the undistributed mesh is not known.
     """
 
     def __init__(self, mesh: Mesh, points: np.ndarray, names: Sequence[str]) -> None:
@@ -91,7 +91,7 @@ class Located:
                 for rank in every
             ]
         mine = mpi.scatter(requests)
-        self._from: list[np.ndarray] = mpi.scatter(given)  # for each rank, the points that it evaluates
+        self._from: list[np.ndarray] = mpi.scatter(given)  # by ranks, the points that each rank evaluates
         self._ends = np.cumsum([len(local) for local, _ in mine])
         self._at = mesh_points(mesh, *(np.concatenate(parts) for parts in zip(*mine, strict=True)))
 
@@ -129,7 +129,7 @@ def nearest_wall(mesh: Mesh, point: np.ndarray) -> tuple[str | None, float]:
     The result is (None, inf) for a mesh without boundary.  Ranks search the whole mesh; collective.
     """
     ranks = Communicator.of(mesh)
-    if isinstance(mesh, MeshPart):  # among equally distant walls the choice is the same as on one process
+    if isinstance(mesh, MeshPart):  # so that equal distances give the wall of one process
         return ranks.on_first(lambda: _nearest_wall(mesh.whole, point))
     return min(ranks.gathered(_nearest_wall(mesh, point)), key=lambda entry: entry[1])
 

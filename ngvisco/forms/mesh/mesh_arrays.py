@@ -55,7 +55,7 @@ SIMPLICES = (10, 12, 20, 21)
 
 
 def mask_of(bits: BitArray) -> np.ndarray:
-    """A set of unknowns as a Boolean array."""
+    """A Boolean array that marks a set of unknowns."""
     ones = CreateVVector(len(bits))
     ones[:] = 1.0
     Projector(bits, True).Project(ones)
@@ -84,7 +84,7 @@ def coordinates(mesh: Mesh) -> np.ndarray:
 
 
 def rigid_motions(mesh: Mesh, width: int, count: int) -> np.ndarray:
-    """Coefficients of translations and rotations by their values at the vertices, (n, count).
+    """Values of translations and rotations at the vertices, as coefficients of v, (n, count).
 
     Each component of v has ``width`` consecutive coefficients, the vertices' coefficients first.
     """
@@ -99,7 +99,7 @@ def rigid_motions(mesh: Mesh, width: int, count: int) -> np.ndarray:
     return motions
 
 
-_OPPOSED = 1e-6  # largest |sum| of the normals on both sides, over twice the facet's area
+_OPPOSED = 1e-6  # largest |sum| of both sides' integrated normals, divided by twice the facet's area
 
 
 def facets_with_two_sides(mesh: Mesh) -> np.ndarray:
@@ -122,8 +122,10 @@ def facet_sums(mesh: Mesh, value: CoefficientFunction) -> np.ndarray:
 
 
 def facets_of_walls(mesh: Mesh) -> np.ndarray:
-    """Facet of every boundary element, (elements,), as an index into arrays of facets. The index is not the
-    number of the edge or face, because a refined mesh also counts divided edges and faces.
+    """Facet of every boundary element, (elements,), as an index into arrays of facets.
+
+    The number of the edge or face is another number, because a refined mesh also counts divided edges and
+    faces.
     """
     space = FacetFESpace(mesh, order=0)
     return np.array([space.GetDofNrs(element)[0] for element in mesh.Elements(BND)], dtype=int)
@@ -150,7 +152,7 @@ def inner_facets(mesh: Mesh) -> GridFunction:
     return indicator
 
 
-_ORDER = 4  # degree of the points at which the determinant is checked; curved cells vary inside
+_ORDER = 4  # degree of the points at which the determinant is checked; on curved cells it is not constant
 _CELLS = {2: (ET.TRIG, ET.QUAD), 3: (ET.TET,)}
 _WORDS = {ET.PYRAMID: "pyramids", ET.PRISM: "prisms", ET.HEX: "hexahedra"}
 

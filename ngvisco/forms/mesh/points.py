@@ -1,10 +1,10 @@
 """Values at the quadrature points of the cells and of their sides by sparse matrices.
 
-The split solver evaluates the transported fields' part of the residual hundreds of times on one mesh.
-A symbolic form evaluates its whole integrand for each component of each test function; here every field
-is carried to the points once, the integrand is formed once, and the transposed matrices test it.  The
-matrices are assembled, once, from the spaces of the step by the rules of its forms, so that they include
-curved cells, identified unknowns and NGSolve's numbering.
+The split solver evaluates the transported fields' part of the residual hundreds of times on one mesh.  A
+symbolic form evaluates its whole integrand for each component of each test function. Here every field is
+evaluated at the points once, the integrand is formed once, and the transposed matrices test it.  The matrices
+are assembled, once, from the spaces of the step by the rules of its forms. They therefore include curved
+cells, identified unknowns and NGSolve's numbering.
 
 Arrays are (components, points), with points ordered by cells, and points of sides by the cell's sides.
 """
@@ -38,8 +38,8 @@ from ngvisco.errors import MeshError
 from ngvisco.forms.mesh.symmetry import Symmetry
 
 NEGLIGIBLE = 1e-14
-"""Entries below this relative size count as rounding and are removed, so that a side reads only the unknowns
-of its facet."""
+"""Relative size below which entries are rounding, and are removed, so that a side reads the unknowns of its
+facet only."""
 
 
 def csr(matrix: BaseMatrix) -> sp.csr_matrix:
@@ -93,7 +93,8 @@ class CellPoints:
     def function(self, components: int) -> GridFunction:
         """A grid function of vectors at the points, to be used in coefficient functions.
 
-        The function has at least two components: NGSolve cannot differentiate a vector of one component here.
+        The function has at least two components, because NGSolve cannot differentiate a vector of one
+        component at points.
         """
         return GridFunction(VectorValued(self.space, max(2, components)))
 
@@ -106,7 +107,7 @@ class SidePoints:
     """The points of the rule of degree ``degree`` on every side of every simplex of a mesh.
 
     NGSolve has no space of values at these points.  A matrix is therefore composed of one assembly for each
-    point of the rule, with a rule of this point alone and a constant test on each side.
+    point of the rule. This assembly has a rule of the one point, and a constant test on each side.
     """
 
     def __init__(self, mesh: Mesh, degree: int, symmetry: Symmetry) -> None:
@@ -142,8 +143,8 @@ class SidePoints:
         return result
 
     def _constant(self, values: np.ndarray) -> np.ndarray:
-        """``values``, (..., points of a side); if sides are straight, only the first point's values, because
-        these values are constant on a straight side."""
+        """``values``, (..., points of a side). If sides are straight, only the first point's values are
+        returned, because the values are constant on a side."""
         return values[..., :1].copy() if self._is_straight else values
 
     def sample(self, value: CoefficientFunction) -> np.ndarray:

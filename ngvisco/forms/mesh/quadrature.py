@@ -1,4 +1,4 @@
-"""Quadrature of forms and ledger, whose degrees are chosen here only.
+"""Quadrature of forms and ledger; no other module chooses the degrees.
 
 The energy identity holds for any quadrature as long as a form and the ledger's integral of the same integrand
 use one rule.  ``Quadrature`` provides both.  Integrands are straight-line programs, which NGSolve interprets
@@ -44,7 +44,7 @@ from ngvisco.parallel.mesh import number_of
 
 SYMMETRIC_DEGREE = 6
 """Highest degree at which NGSolve's rules of triangles have all symmetries of the triangle.  The two sides of
-a face number its vertices differently: with a less symmetric rule they would have different points, and the
+a face number its vertices differently. With a less symmetric rule they would have different points, and the
 flux out of one cell would not be the flux into the other."""
 _FACET_BASE_ORDER = 5  # default order of NGSolve's Integrate on element boundaries
 
@@ -58,8 +58,9 @@ class Quadrature:
     volume_degree, facet_degree : int
         Polynomial degrees integrated exactly on straight cells and facets.
     field_order : int
-        Order of fields whose products ``collocated`` integrates exactly.  Its rule has one point per
-        coefficient of a field in a cell: on triangles up to order two, on tetrahedra up to order one.
+        Order of the fields. ``collocated`` integrates products of two such fields exactly, by a rule with one
+        point per coefficient of a field in a cell. This holds on triangles up to order two, on tetrahedra up
+        to order one.
     symmetry : Symmetry
         Symmetry of the mesh; in a body of revolution all integrals have the weight r.
     """
@@ -78,8 +79,8 @@ class Quadrature:
 
         The polynomial terms with the highest degree are m~ . (L^T w) and rate(grad w; z) : zeta, of degree m
         + 2k + (k - 1) and (k - 1) + 2m.  Energies are not polynomials; the degree 2k + m + 1 resolves them at
-        least as well as the fields do.  The degree is rounded up to an even one, since NGSolve has spaces of
-        values at the points for even degrees only.
+        least as well as the fields do.  The degree is rounded up to an even number, since NGSolve has spaces
+        of values at points for even degrees only.
         """
         degree = max(2 * k + m + 1, 2 * m + k) + bonus
         degree += degree % 2
@@ -88,8 +89,8 @@ class Quadrature:
 
     @property
     def collocation_order(self) -> int:
-        """Half of the degree of ``collocated``. In a body of revolution the degree is higher, since the
-        points of degree 2 are the middles of sides, which have no weight on the axis."""
+        """Half of the degree of ``collocated``. In a body of revolution the degree is higher: the points of
+        degree 2 are the middles of sides, and have no weight on the axis."""
         return 2 if self.symmetry.is_axisymmetric and self.field_order == 1 else self.field_order
 
     @cached_property
@@ -99,7 +100,8 @@ class Quadrature:
 
     @cached_property
     def has_constant_weights(self) -> bool:
-        """Whether the integrals of all cells have constant weights: straight simplices, no symmetry."""
+        """Whether all integrals over cells have constant weights: on straight simplices without a
+        symmetry."""
         is_plain = self.symmetry.radius is None
         # all ranks, including ranks without cells, make the same choice
         mesh, comm = self.mesh, self.mesh.comm
@@ -119,7 +121,8 @@ class Quadrature:
         return self._in_cells(integrand) * dx(intrules=collocation_rules, definedonelements=cells)
 
     def facets(self, integrand: CoefficientFunction, cells: BitArray | None = None) -> Any:
-        """The integral over the boundary of every cell (both sides of each inner facet), or of ``cells``."""
+        """The integral over the boundaries of all cells, or of ``cells``, for a form; both sides of an inner
+        facet count."""
         over = dx(element_boundary=True, intrules=self._facet_rules, definedonelements=cells)
         return self._on_facets(integrand) * over
 
@@ -214,8 +217,8 @@ class Sampler:
     def points(self) -> np.ndarray:
         """Mesh points at the cells' vertices (just inside each cell) and at the forms' quadrature points.
 
-        The points are mapped at each access, because stored points would take 48 bytes each, and the map
-        takes only 20 ns a point.
+        The points are mapped at each access. Stored points would take 48 bytes each, and the map takes only
+        20 ns a point.
         """
         rules = {}
         for et, vertices in VERTICES.items():
@@ -245,7 +248,8 @@ class Sampler:
         return self.rows(CF((x, y, z)[: self.mesh.dim]), indices)
 
     def integral(self, values: np.ndarray) -> float:
-        """Integral over the whole mesh of values at this rank's points, by the mean of each cell's points."""
+        """Integral over the whole mesh, from values at this rank's points: each cell counts by its points'
+        mean."""
         volumes = self.quadrature.each_cell(CF(1.0))
         sums, counts = (np.bincount(self.cells, weights, len(volumes)) for weights in (values, None))
         return self.ranks.total(float(volumes @ (sums / np.maximum(counts, 1))))

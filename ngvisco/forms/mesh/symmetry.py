@@ -5,9 +5,9 @@ the unit vector e around the axis, which is the third direction of tensors, the 
 
     L = grad v + (v_r/r) e x e.
 
-Integrals are int f r dr dy in cells and int f r ds on facets: the integrals in 3D, divided by 2 pi. The
-scheme is the three-dimensional scheme for such fields: tests w also have the strain w_r/r, and the same terms
-cancel. Quadrature points lie inside cells and facets, where r > 0.
+Integrals are int f r dr dy in cells and int f r ds on facets: the integrals in 3D, divided by 2 pi. For such
+fields the scheme is the three-dimensional one: tests w also have the strain w_r/r, and the same terms cancel.
+Quadrature points lie inside cells and facets, where r > 0.
 
 A facet on the axis has no area.  Integrands on a facet of the axis are zero, since v . n = 0 and the trace is
 the cell's value.  Only the equations of the traces keep a positive weight on the axis.
@@ -25,7 +25,7 @@ from ngvisco.parallel.communicator import Communicator
 
 AXISYMMETRIC = "axisymmetric"
 SYMMETRIES = ("none", AXISYMMETRIC)
-"""Values of ``Simulation(symmetry=...)``; without a symmetry a mesh of two dimensions is plane strain."""
+"""Values of ``Simulation(symmetry=...)``; without a symmetry, a mesh of two dimensions is in plane strain."""
 
 ON_AXIS = 1e-10
 """The share of the largest radius below which a point is on the axis."""

@@ -61,11 +61,11 @@ from ngvisco.physics.walls import PrescribedNormal, Traction
 from ngvisco.words import Mention, Words, call
 
 _FLAT = 1e-12  # largest |a.n|^2/|a|^2 of a tangential vector a; normals of axis-parallel walls are exact
-_ROUNDING = 1e-20  # relative to the mean of |a|^2 in the domain; sin(pi x) at x = 1 is 1e-16
+_ROUNDING = 1e-20  # |a|^2 that is rounding, relative to its mean in the domain; sin(pi x) at x = 1 is 1e-16
 _MATCH = 1e-8
 _DEGREE = 6  # degree of the rule whose points on walls are checked
 _STIFFER = 10.0
-"""Ratio of bulk moduli above which a run warns.  Steps have to be divided at a ratio of 20
+"""Ratio of bulk moduli above which a run warns.  At a ratio of 20 steps have to be divided
 (``demos/collision``). At ratios above 5 an overshoot of a quarter may make the compliance negative."""
 
 _SIGNS = {
@@ -78,7 +78,7 @@ _SIGNS = {
     "heat.coefficient": ">= 0",
     "heat.flux": "",
 }
-"""Checked values of wall conditions, with their sign; all must be finite."""
+"""Values of wall conditions that are checked, with the sign that they must have; all must be finite."""
 _VECTORS = ("velocity", "f", "traction")
 
 
@@ -142,7 +142,7 @@ def _check_incoming(step: Step, term: Carried, t: float) -> None:
         if variable.name in given.values:
             where, value = f"{owner}.values[{variable.name!r}]", given.values[variable.name]
             _look(step, term.name, value, where, t)
-            if not step.model.bodies:  # a body's variables vanish outside of the body
+            if not step.model.bodies:  # variables of a body vanish outside of the body
                 positive[where] = dict(variable.positive(value))
     if {variable.name for variable in material.variables} <= given.values.keys():
         positive[f"{owner}.values"] = dict(material.domain(given.values))
@@ -193,8 +193,8 @@ def _at(times: Iterable[float]) -> Iterator[float]:
 
 
 def warn_of_own_energy(step: Step, states: np.ndarray | None) -> None:
-    """Warn if a user-defined energy is not convex, and state how far from the states, (points, .), it loses
-    convexity.
+    """Warn if a user-defined energy is not convex. The warning says how far from the states, (points, .), the
+    energy loses convexity.
 
     In a network each user-defined branch is checked by itself, and then the sum of all branches.
     """
@@ -275,8 +275,8 @@ def _normal_parts(step: Step, velocity: VectorLike | None) -> Iterator[str]:
 def _normal_share(
     step: Step, name: str, a: CoefficientFunction, on_wall: CoefficientFunction | None = None
 ) -> tuple[float, float]:
-    """Ratios of |a.n| on a wall to |a| on the wall and in the domain, in root mean squares; 0 within the
-    error of the geometry's approximation."""
+    """Ratios of |a.n| on a wall to |a| on the wall and to |a| in the domain, in root mean squares; 0 within
+    the error of the geometry's approximation."""
     b = a if on_wall is None else on_wall
     n = specialcf.normal(step.mesh.dim)
     squares = CF((CF(1.0), b * b, (b * n) * (b * n)))
@@ -361,11 +361,11 @@ _CORNERS = {et: IntegrationRule(VERTICES[et], [0.0] * len(VERTICES[et])) for et 
 def warn_of_corners(step: Step, times: Sequence[float]) -> None:
     """Warn if walls' velocities alone change a volume e-fold from the first to the last time, s; collective.
 
-    If all edges of a cell at a vertex lie on walls that prescribe v, they determine the cell's grad v at the
-    vertex, for any order of v: no pressure can control div v.  Under a lid of speed U that meets a wall at
-    rest, div v = +-U/h at the corner.  As v is zero there, the matter stays, and J and rho change by exp(+-U
-    t/h).  If a cell is divided at its midpoint, every vertex has an edge into the interior, so that div v is
-    free (``ngvisco.geometries.split_corner_cells``).  All ranks give the same warning.
+    If all edges of a cell at a vertex lie on walls that prescribe v, these edges determine the cell's grad v
+    at the vertex, for any order of v: no pressure can control div v.  Under a lid of speed U that meets a
+    wall at rest, div v = +-U/h at the corner.  v is zero there, so that the matter stays, and J and rho
+    change by exp(+-U t/h).  If a cell is divided at its midpoint, every vertex has an edge into the interior,
+    and div v is free (``ngvisco.geometries.split_corner_cells``).  All ranks give the same warning.
     """
     cells, ranks = _corner_cells(step), Communicator.of(step.mesh)
     duration = times[-1] - times[0]
@@ -402,7 +402,7 @@ def _corner_cells(step: Step) -> list[tuple[int, int]]:
     moving = [name for name in held if conditions[name].moves]
     if not moving:
         return []
-    # the walls' facets at an edge or a vertex may all belong to other ranks; these spaces know them too
+    # all walls' facets at an edge or a vertex may belong to other ranks; these spaces know such facets too
     on_walls = ~mask_of(HCurl(mesh, order=0, dirichlet=step.walls.region(held)).FreeDofs())
     moved = ~mask_of(H1(mesh, order=1, dirichlet=step.walls.region(moving)).FreeDofs())
     pairs = set()

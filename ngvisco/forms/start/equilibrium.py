@@ -9,9 +9,10 @@ density also varies along a level, no pressure bears all loads, and a warning st
 datum determines the constant in p.  J is the projected inverse of the bulk law, by Newton's method; each body
 has its own J at the common p.
 
-For k = 1 and m = 0 the cell means of p bear the loads that p bears, as div w is constant in cells.  m = 0
-with another k is refused, because the body would move: on 2 x 4, 4 x 8 and 8 x 16 cells, constants in cells
-bear no more than 80, 90 and 95 % of the loads on velocities of order two (in the dual of H1).
+For k = 1 and m = 0 the cell means of p bear the loads that p bears, because div w is constant in cells.  m =
+0 with any other k is refused, because the body would move. Constants in cells do not bear all loads on
+velocities of order two: they bear at most 80, 90 and 95 % (in the dual of H1) on 2 x 4, 4 x 8 and 8 x 16
+cells.
 """
 
 from __future__ import annotations
@@ -56,11 +57,11 @@ from ngvisco.physics.tensors import if_positive
 _ROUNDS, _STEPS = 100, 60
 """Largest numbers of iterations of the density, and of Newton steps for the volume."""
 _CONVERGED = 1e-12
-"""Change of J, relative to the largest J, at which the iterations for the density and Newton's iterations for
-J end."""
+"""Change of J, relative to the largest J, at which both iterations end: the one for the density and Newton's
+iteration for J."""
 _FACTOR = 4.0
 """Largest factor of J in an iteration of the density.  If matter is too dense at first, its weight exceeds
-the pressure at the ground.  The pressures aloft are then negative and have no J, until the matter has
+the pressure at the ground.  The pressures above are then negative and have no J, until the matter has
 expanded."""
 _DIFFERENCE = 1e-5
 """Relative change of J in the difference quotient of the bulk law."""
@@ -80,7 +81,7 @@ class Column:
     shares : mapping of bodies' names to functions
         Volume fractions; empty for a single material.
     density : coefficient function or None
-        Given density, kg/m^3; by default it follows from rho_R or the bodies' densities, else it is 1.
+        Given density, kg/m^3; by default the density follows from rho_R or the bodies' densities, or is 1.
     """
 
     def __init__(
@@ -95,7 +96,7 @@ class Column:
         self.step, self.sampler, self.given, self.theta = step, sampler, given, theta
         self.shares, self.mesh = shares, step.mesh
         self.density: CoefficientFunction | None = None
-        if density is not None:  # projected like the loads of a step
+        if density is not None:  # the density is projected like the loads of a step
             self.density = GridFunction(L2(self.mesh, order=step.discretisation.m))
             LocalProjection(self.density, step.quadrature, tested(density))()
         laws = {body.name: body.material for body in step.model.bodies} or {"": step.model.material}
@@ -178,7 +179,7 @@ class Column:
         )
 
     def _solved(self) -> BitArray:
-        """The unknowns of p that are solved for: all free ones but one, which is 0."""
+        """The unknowns of p that are solved for: all free unknowns but one, which is set to 0."""
         exchange, free = Exchange.of(self.space, self.sampler.ranks), BitArray(self.space.FreeDofs())
         mine = np.flatnonzero(np.array(list(free), dtype=bool) & exchange.owned)
         first = [len(of_rank) > 0 for of_rank in self.sampler.ranks.gathered(mine)].index(True)
@@ -190,7 +191,7 @@ class Column:
         return free
 
     def _inverts(self, name: str) -> bool:
-        """Solve for J, the projected inverse of the bulk law at p, within ``_FACTOR`` of the J before; return
+        """Compute J, the projected inverse of the bulk law at p, within ``_FACTOR`` of the J before; return
         whether J has not changed."""
         J, ranks, values = self.J[name], self.sampler.ranks, self.J[name].vec.FV().NumPy()
         start, trial = GridFunction(J.space), GridFunction(J.space)
@@ -252,7 +253,8 @@ class Column:
 
 
 def require_open(step: Step, F: object, given: Mapping[str, object]) -> None:
-    """Raise ParameterError for an equilibrium without loads, or with given strains that it determines."""
+    """Raise ParameterError for an equilibrium without loads, and for given strains that an equilibrium
+    determines."""
     if not step.model.loads:
         expected = " without loads; an equilibrium needs a load, such as Gravity"
         raise ParameterError("Initial.equilibrium", "hydrostatic", None, expected)

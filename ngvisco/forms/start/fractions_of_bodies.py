@@ -22,10 +22,9 @@ from ngvisco.shapes.shape import Shape
 from ngvisco.shapes.shape import as_shape as as_place
 
 _OVERLAP = 1e-3
-"""The overlap, relative to the volume of the smaller of two bodies, below which the bodies count as
-touching."""
+"""Largest overlap of two bodies that only touch, relative to the volume of the smaller body."""
 _COVERED = 1e-10
-"""The share of the volume of the domain or of a cell below which uncovered volume is rounding."""
+"""Share of the volume of the domain, or of a cell, below which uncovered volume is rounding."""
 _OFF = 1e-4
 """Largest admitted difference of a given tensor's determinant from its right value, relative to the largest
 right value."""
@@ -77,10 +76,10 @@ def starting_fractions(mesh: Mesh, bodies: Sequence[Body], order: int) -> StartV
 def values_of_bodies(
     step: Step, material: Mixture, shares: StartValues, distortions: Given, given: Given, sampler: Sampler
 ) -> StartValues:
-    """Amounts and tensors of bodies that follow from ``distortions``, without those in ``given``.
+    """Amounts and tensors of bodies that follow from ``distortions``; those in ``given`` are left out.
 
-    Raises InitialDataError for a given tensor in cells without its body. With sharp interfaces, a given
-    tensor whose determinant does not follow from the distortion is refused, too.
+    Raises InitialDataError for a given tensor in cells without its body. With sharp interfaces it is raised
+    also for a given tensor whose determinant does not follow from the distortion.
     """
     filled = material.filled(shares, distortions)
     of_cells, bodies = step.quadrature.each_cell, {X.name: n for n in shares for X in material.contents(n)}
@@ -103,7 +102,7 @@ def values_of_bodies(
 
 
 def check_incoming_tensors(step: Step, material: Mixture, term: Carried) -> None:
-    """Raise ParameterError for a body's incoming tensor whose determinant sharp interfaces would change."""
+    """Raise ParameterError for a body's incoming tensor, if sharp interfaces would change its determinant."""
     given, ranks, wall = term.given.values, Communicator.of(step.mesh), step.walls.region([term.name])
     tensors = [(body, X) for body in material.energies for X in material.contents(body)]
     for body, X in tensors:

@@ -88,7 +88,7 @@ def function_field(mesh: Mesh, function: Callable[..., object], order: int = 2) 
     Raises
     ------
     ParameterError
-        If the function returns something else, or values that are not finite.
+        If the function returns anything else, or values that are not finite.
     """
     require_type("function_field.mesh", mesh, Mesh)
     if not callable(function):

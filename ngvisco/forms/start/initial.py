@@ -44,8 +44,8 @@ from ngvisco.physics.tensors import inner, square, tensor_space, trace_free_tens
 
 ScalarLike: TypeAlias = float | CoefficientFunction
 
-_CONTRADICTION = 1e-6  # admitted deviation of rho_0 J_0/rho_R from 1: values may be rounded to seven digits
-_LEAST_DENSITY = 1e-30  # kg/m^3; the largest is the inverse; domains may have sizes of 1e-30 to 1e30 m
+_CONTRADICTION = 1e-6  # largest |rho_0 J_0/rho_R - 1|: values may be rounded to seven digits
+_LEAST_DENSITY = 1e-30  # kg/m^3; the largest density is its inverse; domains may be 1e-30 to 1e30 m large
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,17 +75,17 @@ class Initial:
         density is rho_R/J_0 for a material with a referential density and for bodies, and the given density
         for all others. With k > 1 an equilibrium needs m >= 1.
     datum : str, optional
-        With an equilibrium, the wall at which the mean pressure is ``datum_pressure``; without a wall and a
-        point the datum is the place of the least pressure.
+        With an equilibrium, the wall at which the mean pressure is ``datum_pressure``. If neither a wall nor
+        a point is given, the datum is the place of the least pressure.
     datum_point : sequence of numbers, optional
         Point of the domain at which the pressure is ``datum_pressure``, m.
     datum_pressure : float
         Pressure at the datum relative to the pressure at J = 1 and the reference temperature, which is zero
         except for gases and materials with stress at rest.
     values : mapping of names to coefficient functions, optional
-        Initial values by name: values of variables of the material, which replace the values that follow
-        from F, and of further terms' evolving unknowns, which are zero by default.  The value of a body's
-        tensor is the tensor times the body's amount, which is its share of the volume over det F.
+        Initial values by name. Values of the material's variables replace the values that follow from F.
+        Values of further terms' evolving unknowns are zero by default.  The value of a body's tensor is the
+        tensor times the body's amount; the amount is the body's share of the volume divided by det F.
     """
 
     density: Annotated[ScalarLike | None, Quantity("kg/m^3", "> 0", 1.0)] = None
@@ -120,11 +120,11 @@ class Initial:
 def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFunction:
     """Put the initial data into ``step.state`` and ``step.state_old``, and warn of doubtful data.
 
-    Raises InitialDataError if rho_0, det F_0 or a positive variable is <= 0, or a value or the stored energy
-    is not finite, at a sampling point; if a tensor does not fit its variable (in plane strain: 13, 23, 31, 32
-    entries; E not symmetric); or if density and J contradict the material's rho_R.  Raises ParameterError if
-    a value has the wrong type or shape; UnknownNameError if ``initial.values`` names neither a variable of
-    the material nor a further unknown that evolves.
+    Raises InitialDataError in three cases: rho_0, det F_0 or a positive variable is <= 0, or a value or the
+    stored energy is not finite, at a sampling point; a tensor does not fit its variable (in plane strain: 13,
+    23, 31, 32 entries; E not symmetric); density and J contradict the material's rho_R.  Raises
+    ParameterError if a value has the wrong type or shape, and UnknownNameError if ``initial.values`` names
+    neither a variable of the material nor a further unknown that evolves.
 
     Returns
     -------
@@ -243,7 +243,7 @@ def _project(
 
 
 def _ranges(step: Step, parameters: Given, sampler: Sampler) -> dict[str, tuple[float, float]]:
-    """Ranges of the material's parameters by name: their limits, else the range of their start values.
+    """Ranges of the material's parameters by name: a parameter's limits, or the range of its start values.
 
     Raises InitialDataError for a start value outside its limits.
     """

@@ -21,8 +21,8 @@ from ngvisco.words import Mention, Words
 _ROUNDING = 1e-9
 """Share of the stiffness below which a stress counts as rounding."""
 _MATTERS = 0.01
-"""Share of a wall's stress at rest that may be unbalanced; and least ratio of the wall's stress at rest to
-the largest stress at rest with which a warning is given."""
+"""Share of a wall's stress at rest that may be unbalanced; and least share of the largest stress at rest that
+a wall must have for a warning."""
 _REMEDY = (
     "Take energies without stress at rest (ReferentialNeoHookean, OldroydB, ...), subtract the constant T(I) "
     "from an energy of your own, "
@@ -46,10 +46,10 @@ def where_bodies_meet(step: Step) -> Iterator[str]:
 def on_open_walls(step: Step) -> Iterator[str]:
     """Yield a warning of open walls whose stress does not balance the matter's stress at rest.
 
-    T is the stress of the start state, T(I) the stress of matter at rest, weighted by the bodies' fractions,
-    and t the wall's stress.  T n - t is compared with T(I), both as roots of mean squares over the wall.
-    There is no warning for a wall that gives a pressure to matter under pressure at rest, such as a gas that
-    flows in or out.
+    T is the stress of the start state, and t the wall's stress. T(I) is the stress of matter at rest,
+    weighted by the bodies' fractions.  T n - t is compared with T(I), both as roots of mean squares over the
+    wall.  There is no warning if matter is under pressure at rest and the wall gives a pressure, as for a gas
+    that flows in or out.
     """
     walls = [name for name, wall in step.walls.conditions.items() if isinstance(wall, Open)]
     material = step.model.material
@@ -86,8 +86,8 @@ def on_open_walls(step: Step) -> Iterator[str]:
 
 
 def _at_rest(laws: Mapping[str, Material]) -> tuple[dict[str, float], float]:
-    """Mean normal stresses at rest, Pa, by the laws' names, and the stress up to which a stress counts as
-    rounding, Pa."""
+    """Mean normal stresses at rest, Pa, by the laws' names; and the size, Pa, up to which a stress is
+    rounding."""
     of_laws = {name: rest_stress_and_modulus(law) for name, law in laws.items()}
     rounding = _ROUNDING * max((abs(modulus) for _, modulus in of_laws.values()), default=0.0)
     return {name: stress for name, (stress, _) in of_laws.items()}, rounding

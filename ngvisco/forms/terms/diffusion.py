@@ -15,7 +15,8 @@ from ngvisco.physics.tensors import inner
 
 
 class Spreading(Flux):
-    """Diffusion -div(M grad mu) in the equation of c, mu = zeta_c; dissipates M |grad mu|^2 + penalty."""
+    """Diffusion -div(M grad mu) in the equation of c, with mu = zeta_c; it dissipates M |grad mu|^2 +
+    penalty."""
 
     def __init__(self, law: Diffusion) -> None:
         self.law, self.name = law, law.variable

@@ -1,15 +1,15 @@
 """Fluxes down the gradient of a potential, through cells and facets.
 
-With the potential mu, the flux j = M grad mu and a test chi, the term is by an interior penalty
+Let mu be the potential, j = M grad mu the flux and chi a test. By an interior penalty the term is
 
     int j . grad chi - sum_K int_{dK} (f - f_hat) chi,      f = j . n - p (mu - mu_hat), p = s M/h,
 
-where mu_hat and f_hat are the means of both sides. f - f_hat is half of the difference of the two sides' f,
-which is the mean flux less p times half of the jump.  The difference has opposite signs on the two sides, so
-that chi = 1 gives zero and the amount is conserved to rounding.  On walls f_hat = f, so that nothing flows
-through them.  The penalty is incomplete: it omits the term that would make it symmetric in mu and chi.  The
-flux is consistent for m >= 1.  m = 0 is refused, since the flux by the penalty alone depends on the cells'
-shapes, however fine the mesh.
+where mu_hat and f_hat are the means of both sides. f - f_hat is half of the difference of the two sides' f:
+the mean flux, less p times half of the jump.  The difference has opposite signs on the two sides, so that
+chi = 1 gives zero and the amount is conserved to rounding.  On walls f_hat = f, so that nothing flows through
+them.  The penalty is incomplete: it omits the term that would make it symmetric in mu and chi.  The flux is
+consistent for m >= 1.  m = 0 is refused, since the flux by the penalty alone depends on the cells' shapes,
+however fine the mesh is.
 """
 
 from abc import abstractmethod
@@ -48,7 +48,7 @@ class WallFlux:
         self._given = facet_indicator(mesh, [wall]), *(CF(0.0 if f is None else f) for f in given)
 
     def values(self, u: Fields) -> Sequence[CoefficientFunction]:
-        """The wall's indicator, outside, coefficient and flux, as a step reads them."""
+        """The wall's indicator, the outside potential, the coefficient and the flux, as a step reads them."""
         return [u.context.given(value) for value in self._given]
 
     def at(self, u: Fields, potential: CoefficientFunction) -> CoefficientFunction:
@@ -58,8 +58,8 @@ class WallFlux:
 
 
 class Flux(PointTerm):
-    """A flux with its integrands on facets; derived classes define the integrands in cells.  ``name`` is the
-    prefix of the flux's unknowns.
+    """A flux with its integrands on facets; derived classes define the integrands in cells.  The names of the
+    flux's unknowns begin with ``name``.
     """
 
     name: str

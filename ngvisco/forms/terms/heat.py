@@ -7,8 +7,8 @@ dissipation xi of all mechanisms, the test q of s, and chi = q/zeta_s,
     int (s - s_old)/tau q - B_h(v; s, q) = int xi chi - a(theta, chi) + int_Gamma h chi.
 
 q = zeta_s gives int xi + int_Gamma h for any mesh, step and order: all dissipation becomes heat, and only the
-power of loads and walls changes the total energy.  q = 1 gives the production of entropy,
-int xi/theta - a(theta, 1/theta), and the entropy that the heat carries through walls.
+power of loads and walls changes the total energy.  q = 1 gives the production of entropy, int xi/theta -
+a(theta, 1/theta), and the entropy that heat carries through walls.
 """
 
 from collections.abc import Mapping, Sequence
@@ -69,7 +69,7 @@ class Heating(_OfEntropy):
             given = u.context.given
             parts = (self.law.share(body, u.z_tensors) * given(source) for body, source in self._sources)
             powers["power_heat_source"] = reduce(add, parts)
-        if self.law.numerical_heating:  # the dissipation of a backward Euler step, J/m^3, is a source too
+        if self.law.numerical_heating:  # the numerical dissipation of backward Euler, J/m^3, is a source, too
             c, old = u.context, u.context.old
             dv = u.v - (1 / old.rho) * c.momentum_old
             bregman = c.rates.stored(old) - c.rates.stored(u) - inner(u.zeta, old.z - u.z)
@@ -93,8 +93,8 @@ class Heating(_OfEntropy):
     def _rows(
         self, u: Fields, w: Fields, where: PointRule, further: Mapping[str, CoefficientFunction]
     ) -> Sequence[CoefficientFunction]:
-        """Rows of the entropy equation: the dissipation and the heat in ``further``, times the test function.
-        ``where`` names the cells, the facets or the collocation points."""
+        """Rows of the entropy equation: the dissipation and the heat in ``further``, times the test of heat.
+        ``where`` says whether they are in cells, on facets or at collocation points."""
         heat = [*dissipations(u, self, where).values(), *further.values()]
         return [-(reduce(add, heat) * self.chi(u, w))] if heat else []
 
@@ -108,7 +108,8 @@ class Heating(_OfEntropy):
         return self._rows(u, w, "collocated", {})
 
     def entries(self, u: Fields) -> list[Entry]:
-        """Powers of the heat, which is a part of the energy; the entropy, its productions and supplies."""
+        """Powers of the heat, which is a part of the energy; and the entropy with its productions and
+        supplies."""
         places, theta = [dissipations(u, self, place) for place in PLACES], self.theta(u)
         names = dict.fromkeys(name for heat in places for name in heat)
         self._require_all(set(names), u)
@@ -131,7 +132,8 @@ class Heating(_OfEntropy):
         return [*powers, Entry("entropy", "monitor", Integrand(entropy)), *produced]
 
     def _require_all(self, dissipations: set[str], u: Fields) -> None:
-        """Raise ParameterError for a term whose ``dissipated`` lacks a dissipation of its ledger columns."""
+        """Raise ParameterError for a term with a ledger column of dissipation that its ``dissipated``
+        lacks."""
         for term in u.context.terms:
             for entry in () if term is self else term.entries(u):
                 if entry.kind == "dissipation" and entry.name not in dissipations and not entry.is_outside:

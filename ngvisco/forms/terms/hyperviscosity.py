@@ -2,21 +2,21 @@
 
 (paper: Euler-small-viscoelastodyn+1 with the natural condition hess v : (n x n) = 0 of
 Euler-small-BC-hyper.)  v is only continuous; a is the single-valued normal derivative on facets.  The
-gradient on facets, g = grad v + (a - d_n v) x n, is then single-valued too, and the recovered Hessian
-Hs in P_{k-2}, symmetric in its last two indices, is the projection of its distributional gradient,
+gradient on facets, g = grad v + (a - d_n v) x n, is then single-valued too. The recovered Hessian Hs in
+P_{k-2}, symmetric in its last two indices, is the projection of the distributional gradient of g:
 
-    int_K Hs : G = -int_K grad v : div G + int_{dK} g : (G n)          for all G,
+    int_K Hs : G = -int_K grad v : div G + int_{dK} g : (G n)          for all G.
 
-which on straight cells is int_K hess v : G + int_{dK} (a - d_n v) . (G : n x n): no second derivative of a
-shape function is evaluated (assembling second derivatives took nine tenths of the time in 3D). With j = a -
-d_n v the potential, convex because Hs is linear in (v, a), is
+On straight cells the right-hand side is int_K hess v : G + int_{dK} (a - d_n v) . (G : n x n). The form in
+use evaluates no second derivatives of shape functions (in 3D, assembling second derivatives took nine tenths
+of the time). With j = a - d_n v the potential, convex because Hs is linear in (v, a), is
 
     Psi = int psi(|Hs|) + sum_K int_{dK} sigma/(2h) c(|Hs|^2 + |j|^2/h^2 + chi^2) |j|^2,   psi' = c Hs,
 
 where chi, a tenth of a typical |hess v|, keeps a determined where v is nearly affine, and
-c(s) = mu_1 + mu s^{(p-2)/2}.  Psi is made stationary with multipliers: the hyperstress S of the lifting,
-and a scalar pair (s, c_s) in P_{2k-4} with s = |Hs|^2, so that all nonlinearity is in scalars (a
-Jacobian that couples all components of Hs, grad v and a costs four times as much to assemble):
+c(s) = mu_1 + mu s^{(p-2)/2}.  Psi is made stationary with multipliers: the hyperstress S of the lifting, and
+a scalar pair (s, c_s) in P_{2k-4} with s = |Hs|^2. All nonlinearity is then in scalars. (A Jacobian that
+couples all components of Hs, grad v and a costs four times as much to assemble.)
 
     int (|Hs|^2 - s) l                                                   = 0   (test of c_s)
     int (c_s - c(s)) t - sum_K int_{dK} sigma/h c'(s + |j|^2/h^2 + chi^2)|j|^2 t = 0   (test of s)
@@ -74,7 +74,7 @@ class Hyperviscosity(PointTerm):
         ]
 
     def penalty(self, u: Fields) -> tuple[CoefficientFunction, CoefficientFunction | None]:
-        """Penalties sigma/h c(s~) and sigma/h c'(s~) |j|^2, the second None if c' = 0; s~ is ``size``."""
+        """Penalties sigma/h c(s~) and sigma/h c'(s~) |j|^2; the second is None if c' = 0. s~ is ``size``."""
         law, weight = self.law, self.law.penalty / u.context.h
         if law.is_linear:
             return weight * law.linear(u.z_tensors), None

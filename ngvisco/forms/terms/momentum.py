@@ -34,14 +34,14 @@ class Continuity(PointTerm):
     """Continuity, int (rho - rho_old)/tau q - rho v . grad q + sum_K int_{dK} j q = 0
     (paper: Euler-small-viscoelastodyn+0disc; its delta-term is ``DensityDiffusion``).
 
-    j = (v . n) rho_hat + |v . n| (rho - rho_hat), with the mean rho_hat of both sides' densities, is v . n
+    With the mean rho_hat of both sides' densities, j = (v . n) rho_hat + |v . n| (rho - rho_hat) is v . n
     times the upstream density.  The flux is the same on both sides of a facet, and zero on walls that nothing
     crosses: q = 1 conserves mass to rounding (paper: Euler-small-est-1+).
 
-    A cut-off replaces rho in the fluxes by f(rho) = K(rho) rho, which falls where rho > rho_max: an upwind
-    flux would go on filling full cells.  The flux is then the flux of Engquist and Osher (Math.  Comp. 36,
-    1981), the rising part f^+ of f upstream and the falling part f^- downstream: with n^- = 1 on the side
-    that the flow enters and 0 on the other, j = (v . n) rho_hat and
+    A cut-off replaces rho in the fluxes by f(rho) = K(rho) rho, which falls where rho > rho_max. An upwind
+    flux would then go on filling full cells.  Instead the flux is that of Engquist and Osher (Math.  Comp.
+    36, 1981): the rising part f^+ of f is taken upstream, the falling part f^- downstream. With n^- = 1 on
+    the side that the flow enters and 0 on the other side, j = (v . n) rho_hat and
 
         sum_K int_{dK} [(1 - n^-) (rho_hat - f^+(rho)) - n^- f^-(rho)] q_hat = 0,
 
@@ -82,7 +82,7 @@ class Continuity(PointTerm):
 class MeanFlux(FacetMean):
     """Equation of the mean of v . n over a facet, m/s, with the sign of the facet's first side.
 
-    If a trace is one number, this flux gives the whole facet one upwind side. If the side changed along the
+    With this flux, one number per facet, the whole facet has one upwind side. If the side changed along the
     facet, the trace would be a mean of both cells, and the outflow of a cell would be taken from its
     neighbour too.
     """
@@ -133,9 +133,9 @@ class Convection(PointTerm):
     """Convection 1/2 m . [(L^T w) - (grad w)^T v] with m = rho v, which has no power (paper:
     calculus-for-kinetic).
 
-    With regularisation, m = K(rho) rho v + delta |grad rho|^{r-2} grad rho. When -1/2 v.w times the
-    continuity equation is added, the paper's compensating term - delta |grad rho|^{r-2} (grad v) grad rho
-    takes this shape. The compensating term has no power either.
+    With regularisation, m = K(rho) rho v + delta |grad rho|^{r-2} grad rho. The paper has a compensating term
+    - delta |grad rho|^{r-2} (grad v) grad rho, which takes this shape when -1/2 v.w times the continuity
+    equation is added. The compensating term has no power either.
     """
 
     regularisation: Regularisation | None = None
@@ -161,7 +161,7 @@ class CellVelocity(CellMean):
 
 
 class UnbalancedMomentum(CellMean):
-    """Equation of the cell mean of the continuity equation's residual under the test v, N/m^3:
+    """Equation of the cell mean of the continuity equation's residual, tested by v, N/m^3:
 
         int (rho - rho_old)/tau v - rho (v . grad) v + int_{dK} j v,    j the flux of mass through a facet.
 
@@ -185,9 +185,9 @@ class MomentumBalance(PointTerm):
     """Balance 1/2 R(v . w_K) - 1/2 R(v_K . w), where R(q) is the continuity equation tested by q, and v_K a
     cell mean.
 
-    The skew form of ``Inertia`` and ``Convection`` tested by a constant w is the rate of the momentum less
-    1/2 R(v . w), which is not zero: rho in P_m satisfies the equation for tests in P_m only.  This term is
-    also skew, and therefore has no power; for a constant w the term is 1/2 R(v . w) - 1/2 R(v_K . w), where
+    Tested by a constant w, the skew form of ``Inertia`` and ``Convection`` is the rate of the momentum minus
+    1/2 R(v . w). R(v . w) is not zero: rho in P_m satisfies the equation for tests in P_m only.  The present
+    term is also skew, and therefore has no power. For a constant w it is 1/2 R(v . w) - 1/2 R(v_K . w), where
     the second part is zero.  The balances of kinetic energy and of momentum then both hold for a
     discontinuous rho and a continuous v.  R(q) = 0 for the exact solution: the term is consistent.
     """

@@ -32,7 +32,7 @@ class FieldDiffusion(PointTerm):
     Euler-small-viscoelastodyn+2disc, Euler-large-viscoelastodyn+2disc, +3disc, -H, -H+).
 
     The paper tests by phi'(z), and phi''(z) grad z : grad z >= 0 (Euler-small-calc-Delta).  Here the test is
-    zeta, whose gradient is not phi''(z) grad z.  The slope q of z follows therefore from the conjugates,
+    zeta, whose gradient is not phi''(z) grad z.  The slope q of z therefore follows from the conjugates,
 
         sum_K int_K phi''(z) q : Y - grad zeta : Y - sum_K int_{dK} (zeta_hat - zeta) : (Y n) = 0,
 
@@ -40,15 +40,15 @@ class FieldDiffusion(PointTerm):
 
         delta sum_K int_K q : grad G + delta sum_K int_{dK} (s/h b - q n) : G + s/h C (zeta - zeta_hat) : G.
 
-    zeta_hat is the mean of both sides' conjugates with the weights s/h, s = penalty (m + 1)^2; b is the jump
-    (q_1 n_1 + q_2 n_2) over the sum of the weights.  On walls zeta_hat = zeta, that is n . grad z = 0
-    (BC-disc).  C is the inverse of phi'' at rest.  For smooth z, q = grad z; for any z, G = zeta gives
+    zeta_hat is the mean of both sides' conjugates with the weights s/h, where s = penalty (m + 1)^2. b is the
+    jump (q_1 n_1 + q_2 n_2) divided by the sum of the weights.  On walls zeta_hat = zeta, that is n . grad z
+    = 0 (BC-disc).  C is the inverse of phi'' at rest.  For smooth z, q = grad z; for any z, G = zeta gives
 
         delta int phi''(z) q : q + delta sum_K int_{dK} s/h C (zeta - zeta_hat) : (zeta - zeta_hat) >= 0.
 
-    In directions in which the energy is linear (``Curvature.linear``) phi'' vanishes and zeta is constant; in
-    these directions q is the slope of z, by the form above, and has no power.  Parameters do not diffuse; for
-    parameters q is the slope of z too, because this slope contributes to the slope of zeta.
+    In directions in which the energy is linear (``Curvature.linear``) phi'' vanishes and zeta is constant. In
+    these directions q is the slope of z, by the form above, and has no power.  Parameters do not diffuse. For
+    parameters q is the slope of z, too, because this slope contributes to the slope of zeta.
     """
 
     law: Regularisation
@@ -64,8 +64,8 @@ class FieldDiffusion(PointTerm):
 
     @cached_property
     def of_itself(self) -> CoefficientFunction | None:
-        """Projection on the directions in which the energy is linear and on the parameters; None without such
-        directions and parameters. For these components q is the slope of z."""
+        """Projection onto the directions in which the energy is linear and onto the parameters. For these
+        components q is the slope of z. None without such components."""
         matrix = self.curvature.of_itself
         return constant(matrix) if matrix.any() else None
 
@@ -102,8 +102,8 @@ class FieldDiffusion(PointTerm):
         return [delta * inner(self._of_strains(across), G), -delta * self._weight(u) * inner(C * jump, G)]
 
     def of_one_component(self, u: Fields, w: Fields) -> list[Integrand]:
-        """The part of the form with constant matrices, which are equal for all components; the factors delta
-        and C are left out.
+        """The part of the form with constant matrices, without the factors delta and C. The matrices are
+        equal for all components.
 
         Rows tested by zeta are the penalty in the equations of z. The equation of the slope q is given
         without its part phi'' q.
@@ -143,8 +143,8 @@ class FieldDiffusion(PointTerm):
         return self._weight(u) * u.z_slope_hat - u.z_slope * u.context.normal
 
     def _jump(self, u: Fields) -> CoefficientFunction:
-        """Jump zeta_hat - zeta; for parameters z replaces zeta, and in linear directions z is added to
-        zeta."""
+        """Jump zeta_hat - zeta; for parameters it is the jump of z, and in linear directions the jump of z is
+        added."""
         jump = u.zeta_delta_hat - self._of_strains(u.zeta)
         return jump if self.of_itself is None else jump - self.of_itself * u.z
 
@@ -162,8 +162,8 @@ class DensityDiffusion(PointTerm):
     viscoelastodyn+0disc): incomplete penalty, c_pen = c(|grad rho|^2 + |rho - rho_hat|^2/h^2 + floor^2).
 
     ``Convection`` has the compensating term of the momentum equation in a skew form without power.  Diffusion
-    keeps mass to rounding.  The ledger's ``density_diffusion`` is the rate at which diffusion reduces int 1/2
-    rho^2.
+    keeps mass to rounding.  The ledger's ``density_diffusion`` is the rate at which diffusion reduces
+    int 1/2 rho^2.
     """
 
     law: Regularisation
@@ -215,7 +215,7 @@ class VelocityDamping(PointTerm):
 
 @dataclass(frozen=True)
 class CutOffVolume(PointTerm):
-    """Volume in which the cut-off K(rho) acts, rho > rho_max; ``Continuity`` and ``Convection`` have K."""
+    """Volume in which the cut-off K(rho) acts, rho > rho_max; ``Continuity`` and ``Convection`` apply K."""
 
     law: Regularisation
 

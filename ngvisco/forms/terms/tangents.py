@@ -9,15 +9,15 @@ other energy the mean of N over the facet is subtracted.  The force is then that
 
     z_hat + b/2 (z_1 - z_2),    b = 2 N/([z] : [zeta]),
 
-the point at which the tangents of phi on both sides meet.  With zeta = phi'(z) and the Bregman distances D_21
-and D_12 between both sides, both >= 0 for a convex energy, b = (D_21 - D_12)/(D_21 + D_12) lies in [-1, 1].
+the point at which the tangents of phi on both sides meet.  Let D_21 and D_12 be the Bregman distances between
+both sides, >= 0 for a convex energy. With zeta = phi'(z), b = (D_21 - D_12)/(D_21 + D_12) lies in [-1, 1].
 |b| may be larger than 1 if zeta is a projection of phi'(z), and for parameters, in which no energy is convex:
 there [z] : [zeta] may be zero where N is not.  N itself has no denominator.
 
-The energy may have no value at a trace, as ln det B at det B <= 0, although it has one at all points of the
-cells' rule.  A facet without energy keeps its thrust, which appears in the ledger's momentum defect.  Since
-the force jumps when a trace loses its energy, a facet that has no energy in one iterate keeps its thrust for
-the rest of the step.
+The energy may have no value at a trace, as ln det B at det B <= 0, although it has a value at all points of
+the cells' rule.  A facet without energy keeps its thrust, which appears in the ledger's momentum defect.  The
+force jumps when a trace loses its energy. Therefore a facet that has no energy in one iterate keeps its
+thrust for the rest of the step.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ from ngvisco.physics.response import Respond
 from ngvisco.physics.tensors import if_positive, is_number
 
 _ROUNDING = 1e-14
-"""Least share of a facet that does not count as zero."""
+"""Share of a facet below which a share counts as zero."""
 
 
 class TangentGap(OfFacet):
-    """Equation of the facet mean of phi + (z_hat - z) : zeta, with the side's sign, which is -N/2."""
+    """Equation of the facet mean of side times (phi + (z_hat - z) : zeta), which is -N/2."""
 
     name = "tangent_gap"
 
@@ -51,7 +51,7 @@ class TangentGap(OfFacet):
 class WithoutEnergy(OfFacet):
     """Equation of the share of a facet on which a side's trace has no energy.
 
-    If the share is positive in any iterate, the equation stays for the rest of the step.
+    A facet whose share is positive in any iterate keeps it for the rest of the step.
     """
 
     name = "without_energy"
@@ -62,9 +62,9 @@ class WithoutEnergy(OfFacet):
 
 
 class TangentForce(PointTerm):
-    """Force - int (w . n) N over the facets in the momentum equation, N a mean over the facet.
+    """Force - int (w . n) N over the facets in the momentum equation; here N is a mean over the facet.
 
-    At w = v the term is a power of jumps, which the dissipation of ``Upwinding`` includes.
+    At w = v the term is a power of jumps. The dissipation of ``Upwinding`` includes this power.
     """
 
     linearised, group = False, ENTERING
@@ -78,12 +78,12 @@ class TangentForce(PointTerm):
 
 
 def tangents_of(material: Material, dim: int, m: int, response: Respond) -> TangentForce | None:
-    """The force's correction for fields of order ``m``, or None for a quadratic energy.
+    """The correction of the force for fields of order ``m``; None for a quadratic energy.
 
     ``response`` is the material's response on meshes of dimension ``dim``.
 
-    The result is also None for bodies of different U with m >= 1, because the bodies' amounts can be negative
-    on sides of cells, where the energy has no value.
+    The result is also None for bodies with different U and m >= 1, because the bodies' amounts can be
+    negative on sides of cells, where the energy then has no value.
     """
     if m > 0 and material.response(dim) is not None and not material.continued:
         return None

@@ -9,13 +9,13 @@ whose rate is -(div w) z + production, the operator is
     B_h(w; z, G) = sum_K int_K z : (w . grad) G + production(grad w; z) : G
                  - sum_K int_{dK} (w . n) z_hat : G,
 
-with (w . n) = 0 on walls that nothing crosses.  The flux through a facet is single-valued: without production
-G = 1 keeps int z to rounding, and constant conjugates make no force at a jump.
+with (w . n) = 0 on walls that nothing crosses.  The flux through a facet is single-valued. Therefore G = 1
+keeps int z to rounding if there is no production, and constant conjugates make no force at a jump.
 
-The kinematic equations use B_h(v; z, G), the momentum equation the adjoint B_h(w; z, zeta), zeta the
-projected conjugates.  At w = v, G = zeta the two cancel identically, facets included: the elastic power of
-the momentum equation *is* the rate of the stored energy (paper: ED-Euler-large-stress-calculus).
-For smooth fields B_h(w; z, zeta) = int T : grad w with T of the paper.
+The kinematic equations use B_h(v; z, G). The momentum equation uses the adjoint B_h(w; z, zeta), with the
+projected conjugates zeta.  At w = v, G = zeta the two cancel identically, facets included: the elastic power
+of the momentum equation *is* the rate of the stored energy (paper: ED-Euler-large-stress-calculus).  For
+smooth fields B_h(w; z, zeta) = int T : grad w with T of the paper.
 """
 
 from collections.abc import Sequence
@@ -39,7 +39,7 @@ UPWINDING = "dissipation_upwinding"
 
 
 def transport_in_cells(along: Fields, u: Fields, G: Fields, name: Conjugate) -> list[CoefficientFunction]:
-    """Integrands of B_h(w; z, G) in cells, w the velocity of ``along``, G the part ``name`` of ``G``."""
+    """Integrands of B_h(w; z, G) in cells; w is the velocity of ``along``, G the part ``name`` of ``G``."""
     rates, by_flux = u.context.rates.power(u, along, G, name), u.layout.states.by_flux
     if not by_flux.any():
         return [-inner(u.grad_z * along.v, G.parts[name]), *rates]
@@ -49,7 +49,7 @@ def transport_in_cells(along: Fields, u: Fields, G: Fields, name: Conjugate) -> 
 
 
 def degree_of_transport(k: int, m: int, rates: TabulatedRates) -> int | None:
-    """Polynomial degree of B_h(w; z, G) in cells; None if rates are no products of z and grad w."""
+    """Polynomial degree of B_h(w; z, G) in cells; None if rates are not products of z and grad w."""
     is_bilinear = rates.weighed is None and not rates.constants.nonlinear_variables
     return k - 1 + 2 * m if is_bilinear else None
 
@@ -69,7 +69,7 @@ class Kinematics(PointTerm):
     viscoelastodyn+2disc, Euler-large-viscoelastodyn+2disc, +3disc, viscoelastodyn-H, -H+).
 
     G is the test function of z in the discontinuous P_m.  Creep does not change J, since tr Pi = 0.
-    With creep and nu = 0 the rate Pi is a function of M at the point, the Mandel stress of the projected
+    With creep and nu = 0 the rate Pi at a point is a function of the Mandel stress M of the projected
     conjugates, so that G = zeta gives the dissipation M : Pi >= 0; see ``CreepRate`` for nu > 0.  Creep of
     nonlinear rules, and of F, is integrated by the nodal rule, one point per coefficient of z: a finer rule
     would over-constrain |M| for yield near its rate-independent limit.
@@ -147,7 +147,8 @@ class Upwinding(PointTerm):
     facets.
 
     With the mean trace in B_h the transport is upwind.  Tested by zeta, the term dissipates
-    1/2 int |v . n| [z] : [zeta]; with the power of ``TangentForce`` int 1/2 |v . n| [z] : [zeta] - (v . n) N.
+    1/2 int |v . n| [z] : [zeta]. With the power of ``TangentForce`` this is int 1/2 |v . n| [z] :
+    [zeta] - (v . n) N.
     """
 
     tangents: TangentForce | None = None
@@ -157,7 +158,7 @@ class Upwinding(PointTerm):
         return [speed(u) * inner(beyond_trace(u), w.z)]
 
     def dissipated_on_facets(self, u: Fields) -> dict[str, CoefficientFunction]:
-        mean = JumpHeat.name in u.layout.unknowns  # by the mean, both sides get the same share
+        mean = JumpHeat.name in u.layout.unknowns  # both sides get the same share, by the mean of the power
         loss = u.parts[JumpHeat.name] if mean else lost_by_jumps(u)
         if self.tangents is not None:
             loss = loss + (u.v * u.context.normal) * self.tangents.excess(u)
@@ -174,8 +175,8 @@ def lost_by_jumps(u: Fields) -> CoefficientFunction:
 
 
 class JumpHeat(OfFacet):
-    """Equation of the mean of upwinding's power over a facet, W/m^2; by this mean the cells on both sides
-    share the heat of a jump."""
+    """Equation of the mean of upwinding's power over a facet, W/m^2. The cells on both sides share the heat
+    of a jump by this mean."""
 
     name = "jump_heat"
 
@@ -200,7 +201,7 @@ class Conjugates(PointTerm):
         return [inner(u.zeta, w.zeta), *(-part for part in u.context.energy.tested_slope(u, w))]
 
     def entries(self, u: Fields) -> list[Entry]:
-        """Monitor of the quadratic regularisation's share in the stored energy; the term has no power."""
+        """Monitor of the quadratic regularisation's share of the stored energy; the term has no power."""
         material = self.model.material
         if isinstance(material, WithQuadratic):
             return [Entry("stored_quadratic", "monitor", Integrand(material.added_energy(u.z_tensors)))]
