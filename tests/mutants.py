@@ -18,7 +18,9 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 SIGNS = "tests/forms/test_signs_of_terms.py::"
 MOMENTUM = "tests/run/test_momentum_columns.py::"
-OUTLINES = "tests/sensitivity/test_outline_slopes.py::test_slopes_of_measures_are_limits_of_differences"
+OUTLINES = (
+    "tests/sensitivity/test_outline_slopes.py::test_slopes_of_an_outline_s_measures_are_limits_of_differences"
+)
 SHARP = "tests/forms/test_sharpening.py::"
 COLUMNS = "tests/sensitivity/test_ledger_columns.py::"
 ADJOINT = "tests/sensitivity/test_adjoint.py::"
@@ -61,7 +63,7 @@ MUTANTS = [
             "both halves of convection",
             "return [0.5 * inner(u.grad_v * flux, w.v), -0.5 * inner(w.grad_v * flux, u.v)]",
             "return [-0.5 * inner(u.grad_v * flux, w.v), 0.5 * inner(w.grad_v * flux, u.v)]",
-            MOMENTUM + "test_inertia_keeps_momentum_and_its_loss_of_angular_momentum_is_a_column",
+            MOMENTUM + "test_inertia_keeps_momentum_and_its_loss_of_angular_momentum_is_a_ledger_column",
         ),
         (
             "loads",
@@ -600,7 +602,7 @@ MUTANTS = [
             "what sharp interfaces move, in a tangent",
             "(old + change)[ranges[name]]",
             "(old + recorded.change)[ranges[name]]",
-            "tests/sensitivity/test_models.py::test_sharp_interfaces_have_tangents",
+            "tests/sensitivity/test_models.py::test_tangents_of_runs_with_sharp_interfaces_equal_differences",
         ),
     ),
     *_of(
@@ -618,7 +620,7 @@ MUTANTS = [
             "part of a body behind a plane",
             "cube * inverse for name",
             "0.9 * cube * inverse for name",
-            SHARP + "test_the_parts_of_a_cell_behind_planes_add_up",
+            SHARP + "test_the_parts_of_bodies_in_a_cell_sum_to_one",
         ),
         (
             "layers in series",
@@ -648,7 +650,7 @@ MUTANTS = [
             "direction of a curved interface, which turns in a cell",
             "self.target = self._recovered if of_slope else",
             "self.target = 0 * self._recovered if of_slope else",
-            "tests/run/test_parting.py::test_slopes_from_vertices_turn_in_cells",
+            "tests/run/test_parting.py::test_a_linear_slope_is_recovered_from_its_means_at_vertices",
         ),
     ),
     *_of(
@@ -1062,7 +1064,7 @@ MUTANTS = [
             "planes that do not depend on the order of bodies",
             "0.5 + 0.5 * (amounts[i] - amounts[j]) / amounts.sum(axis=0)",
             "amounts[i] / amounts.sum(axis=0)",
-            "tests/run/test_body_that_leaves.py::test_the_order_of_three_bodies_in_a_cell_changes_nothing",
+            "tests/run/test_body_that_leaves.py::test_a_run_does_not_depend_on_the_order_of_three_bodies_in_a_cell",
         ),
         (
             "quotients of an amount that fills a cell",
@@ -1164,7 +1166,7 @@ MUTANTS = [
             "scaling towards the mean",
             "values[:, dofs] = centre + low[cells] * variation",
             "values[:, dofs] = centre + high[cells] * variation",
-            "tests/forms/test_bounds.py::test_a_limited_density_is_no_less_than_its_share_of_the_mean",
+            "tests/forms/test_bounds.py::test_a_limited_density_is_at_least_the_stated_share_of_its_mean",
         ),
     ),
 ]

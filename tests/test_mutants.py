@@ -6,7 +6,7 @@ from mutants import MUTANTS, ROOT, copy_with, seen
 
 
 @pytest.mark.parametrize("mutant", MUTANTS, ids=[mutant.name for mutant in MUTANTS])
-def test_each_mutant_has_one_place_and_a_test(mutant):
+def test_each_mutant_changes_one_place_and_names_an_existing_test(mutant):
     text = (ROOT / mutant.file).read_text(encoding="utf-8")
     assert text.count(mutant.old) == 1
     path, _, name = mutant.seen_by.partition("::")

@@ -38,7 +38,7 @@ def test_the_readme_s_script_runs_and_its_ledger_closes(tmp_path, monkeypatch, c
     assert "0" in capsys.readouterr().out
 
 
-def test_hdf5_is_read_as_printed(tmp_path, monkeypatch):
+def test_the_printed_program_reads_the_run_file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     run = ran(script())["run"]
     (reader,) = marked_blocks(OUTPUT)["reader"]

@@ -88,7 +88,7 @@ def test_levels_of_imports_are_no_more_than_stated(room):
 
 
 @pytest.mark.parametrize("room", ROOMS)
-def test_update_changes_only_outdated_statements(room):
+def test_an_update_of_readmes_keeps_their_files_and_the_order(room):
     """``python tests/rooms.py`` would write the same files in the same order."""
     names = re.findall(r"^1\. `([\w./]+)`", updated(room), re.MULTILINE)
     assert names == listed(room)

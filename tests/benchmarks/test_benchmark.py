@@ -60,7 +60,7 @@ def test_the_benchmark_of_kernels_has_a_row_for_each_kernel():
     assert all(head.count("|") == row.count("|") for row in table)
 
 
-def test_exponents_of_cost_are_fitted():
+def test_the_summary_has_fitted_exponents_of_cost():
     row = {"dim": 3, "method": "split", "threads": 2, "maxh": 1.0}
     rows = [
         row | {"cells": n, "step": 2e-3 * n**1.1, "memory": 1e-4 * n, "maxh": 1 / n}

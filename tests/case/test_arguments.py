@@ -349,7 +349,7 @@ def arguments():
         yield from (f"{name}.{one}" for one in inspect.signature(cls).parameters if one not in of_cases)
 
 
-def test_every_argument_is_swept():
+def test_the_sweep_of_arguments_contains_every_argument():
     swept = {*PAIRS, *(f"{name}.{argument}" for name, argument in OBSERVED), *BY_ITS_OWN}
     assert set(arguments()) <= swept
     for argument, module in BY_ITS_OWN.items():

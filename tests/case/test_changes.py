@@ -36,7 +36,7 @@ def contents(place):
     return {p.name: p.read_bytes() for p in place.rglob("*") if p.is_file() and p.name != "lock"}
 
 
-def test_the_directory_holds_both_cases_and_the_change(run):
+def test_the_directory_of_a_changed_run_holds_both_cases_and_the_change(run):
     before = (run / "case.toml").read_text()
     settings = ["time.dt=0.01", "loads=[]", "material.G_e=6", "time.until=0.06"]
     simulation = nv.case.resume(run, settings=settings)

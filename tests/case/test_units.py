@@ -250,7 +250,7 @@ until = 0.2
 """
 
 
-def test_a_unit_may_begin_with_1_over_a_unit():
+def test_a_unit_may_begin_with_1_and_a_slash():
     sections = parse_case(NORTON, "case.toml", Path()).sections
     factor_of_power = sections.rheology.creep.A
     assert factor_of_power == pytest.approx(0.5e-15, rel=1e-12)

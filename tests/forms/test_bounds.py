@@ -113,7 +113,7 @@ def test_limiter_keeps_every_mean_and_restores_every_bound(name, m):
     assert values.min() >= SHARE * 0.9
 
 
-def test_a_limited_density_is_no_less_than_its_share_of_the_mean():
+def test_a_limited_density_is_at_least_the_stated_share_of_its_mean():
     """The slope of the density is scaled by the largest factor that keeps the bound, to the accuracy of the
     bisection."""
     step = step_of()

@@ -117,7 +117,7 @@ def test_an_undone_step_restores_the_distances():
     assert np.abs(one.passive.arrays()["distance_disc"] - before).max() > 1e-4
 
 
-def test_models_without_outlines_are_refused():
+def test_outlines_are_refused_for_models_that_cannot_have_them():
     with pytest.raises(nv.ParameterError, match=r"Discretisation.outlines.*unless interfaces are"):
         nv.Discretisation(outlines=True)
     with pytest.raises(nv.ParameterError, match=r"Discretisation.outlines carries have no derivative"):

@@ -33,7 +33,7 @@ def test_polynomials_of_the_degree_are_exact(degree: int) -> None:
 
 
 @pytest.mark.parametrize(("k", "m"), [(2, 1), (2, 2), (3, 2)])
-def test_both_sides_of_a_face_see_the_same_points(k: int, m: int) -> None:
+def test_both_sides_of_a_face_have_the_same_quadrature_points(k: int, m: int) -> None:
     """From degree 8 on NGSolve's rules for triangles have no symmetry, and cells number their faces
     differently."""
     mesh = box((1, 0.7, 0.8), 1.0)

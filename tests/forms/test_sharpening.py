@@ -655,7 +655,7 @@ def test_viscosities_are_in_series_across_interfaces_but_not_where_fractions_var
     assert sampler.values(tr(P)) == pytest.approx(trace, abs=1e-8)
 
 
-def test_the_parts_of_a_cell_behind_planes_add_up(rng):
+def test_the_parts_of_bodies_in_a_cell_sum_to_one(rng):
     """The parts chi_i theta_i of two or three bodies sum to one, also with undershoots of fractions. Two
     bodies with equal fractions have 1/2 each, and a body with a fraction <= 0 has 0."""
     fractions = Fractions(("a", "b", "c"))

@@ -107,7 +107,7 @@ def test_ledger_closes_and_mass_is_conserved_with_every_wall(name):
 @pytest.mark.parametrize(
     "name", ["slip, hole", "traction with friction", "friction", "two lids, periodic", "in and out"]
 )
-def test_linearisation_agrees_with_differences(name):
+def test_linearisation_of_wall_terms_equals_differences(name):
     make_mesh, walls, _, loads = CASES[name]
     mesh = make_mesh()
     step = Step(mesh, model(loads), conditions=walls)

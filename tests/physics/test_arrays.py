@@ -100,7 +100,7 @@ def test_exponential_less_one_has_all_digits_by_arrays_and_by_expressions(a):
 
 
 @pytest.mark.parametrize("exponent", [0, 0.5, 1, 1.5, 2])
-def test_powers_of_zero_are_numbers(exponent):
+def test_powers_of_zero_have_their_values_without_a_warning(exponent):
     """A law may have a value at rest although it has no derivative there."""
     with np.errstate(all="raise"):
         assert (Array(np.zeros(2)) ** exponent).value == pytest.approx(0.0**exponent, abs=0)

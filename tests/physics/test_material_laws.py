@@ -294,7 +294,7 @@ def test_the_gent_stress_equals_its_closed_form(kind, elastic_state):
         assert stress_of(kind, T) == pytest.approx(0.27 * 77.0 / slack * strain, abs=1e-11)
 
 
-def test_ogden_is_mooney_rivlin_where_its_exponents_are_two(rng):
+def test_ogden_with_exponents_of_two_is_mooney_rivlin(rng):
     """Ogden's energy with mu_1 = 2 C_10 and mu_2 = -2 C_01 equals C_10 |F_iso|^2 + C_01 |Cof F_iso|^2, also
     with a change of volume."""
     F = np.eye(3) + 0.3 * rng.uniform(-1, 1, (3, 3))

@@ -108,7 +108,7 @@ def test_an_energy_per_mass_has_the_elastic_state_of_its_material():
     assert by_B.referential_density == RHO_R
 
 
-def test_wrappers_around_an_energy_per_mass_know_its_density():
+def test_wrappers_of_an_energy_per_mass_have_its_referential_density():
     inner = nv.PerMass(material=PSI["fluid"], rho_R=RHO_R)
     wrapped = nv.WithQuadratic(material=nv.Yosida(material=inner, eps=1e-3), delta=1e-4)
     assert wrapped.referential_density == RHO_R

@@ -72,7 +72,7 @@ def test_an_ideal_gas_satisfies_the_gas_laws():
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("heat", [{"expansion": 0.1}, {"gruneisen": 1.5}])
 @pytest.mark.parametrize("cold", COLD)
-def test_energy_is_jointly_convex(cold, heat, dim):
+def test_energy_with_heat_is_jointly_convex(cold, heat, dim):
     material = nv.Thermal(material=COLD[cold], c=3.0, theta_R=1.0, **heat)
     assert nv.check_convexity(material, dim=dim).passed
 

@@ -123,7 +123,7 @@ def test_negative_mass_behind_a_body_that_has_left_is_a_ripple_of_transport_and_
 @pytest.mark.parametrize(
     ("densities", "options", "off"), [((2, 1, 0.1), {}, 1e-7), ((1, 1, 1), _SHARP, 1e-6)]
 )
-def test_the_order_of_three_bodies_in_a_cell_changes_nothing(
+def test_a_run_does_not_depend_on_the_order_of_three_bodies_in_a_cell(
     densities: tuple[float, ...], options: dict[str, Any], off: float
 ) -> None:
     """``off`` is relative to the disc's displacement."""

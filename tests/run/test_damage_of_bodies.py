@@ -105,7 +105,7 @@ def mixture():
     return nv.Model(bodies=bodies(beside=fluid(2.0))).material
 
 
-def test_each_step_from_a_state_to_another_dissipates_at_every_point(mixture):
+def test_a_step_between_any_two_states_dissipates_at_every_point(mixture):
     """phi(old; d_old) - phi(now; d) - slope : (old - now) >= 0, with the slope at the old damage."""
     respond, lagged = mixture.response(2), np.zeros(mixture.states(2).size, dtype=bool)
     for name in mixture.lagged:

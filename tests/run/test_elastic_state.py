@@ -264,7 +264,7 @@ TWO = (
 """Two pairs of distortions of determinant one: two rotations, and two stretches."""
 
 
-def test_averaging_rotations_lowers_det_F_and_never_det_B():
+def test_the_mean_of_two_rotations_has_a_smaller_det_F_and_no_smaller_det_B():
     """The mean of two rotations has a smaller det F, which releases energy at rest. The mean of B keeps det
     B. Only the loss by F counts as drift."""
     for sign, (one, other) in zip((-1, 1), TWO, strict=True):

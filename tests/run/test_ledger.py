@@ -233,7 +233,7 @@ def test_steps_whose_ledger_does_not_close_are_counted_in_one_warning(
     assert "is inf in step 3" in run.ledger.unclosed
 
 
-def test_each_part_of_a_resumed_run_closes_by_its_own_tolerance(
+def test_each_part_of_a_resumed_run_is_judged_by_the_tolerance_of_this_part(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """After a resume, the warning still names a step that did not close. The warning does not name a step
@@ -300,7 +300,7 @@ def test_speed_and_courant_number_follow_from_the_velocity() -> None:
     assert row["kinetic"] == pytest.approx(12.5)
 
 
-def test_columns_have_units() -> None:
+def test_ledger_columns_have_units() -> None:
     ledger = run_of("neo_hookean").ledger
     units = {name: unit(name) for name in ledger.columns}
     assert units["kinetic"] == units["bregman"] == units["closure"] == "J"

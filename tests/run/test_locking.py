@@ -10,7 +10,7 @@ from ngvisco.physics.variables import Jacobian
 @pytest.mark.long
 @pytest.mark.ci
 @pytest.mark.parametrize(("crossed", "least", "most"), [(True, 0.029, 0.041), (False, 0.0, 0.012)])
-def test_a_disc_sinks_with_cells_of_order_one_if_they_are_crossed(crossed, least, most):
+def test_a_disc_sinks_on_crossed_cells_of_order_one_and_is_locked_on_other_cells(crossed, least, most):
     """With k = 3 the disc sinks by 0.038 m. On rectangles with one diagonal the cells lock, and the disc does
     not move."""
     fluid = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 10 * (J - 1) * (J - 1) / J)

@@ -242,7 +242,7 @@ def thrown(**options) -> nv.Simulation:
     return nv.Simulation(box((1, 1), 0.35, periodic="xy"), model, dt=0.02, initial=start, **options)
 
 
-def test_inertia_keeps_momentum_and_its_loss_of_angular_momentum_is_a_column():
+def test_inertia_keeps_momentum_and_its_loss_of_angular_momentum_is_a_ledger_column():
     """A velocity's component is not in the space of rho. The skew form alone would therefore lose up to 3e-4
     of the momentum."""
     ledger = thrown(scheme="midpoint").run(until=0.1)

@@ -121,7 +121,7 @@ def test_two_outlines_have_the_distance_of_their_closest_points():
 
 
 @pytest.mark.parametrize("m", [0, 1, 2])
-def test_columns_of_a_body_are_those_of_its_shape(m):
+def test_outline_columns_of_a_body_have_the_measures_of_its_shape(m):
     """The body is 3.6 cells broad. Its area is that of a polygon with corners half a cell apart."""
     start = nv.Initial(velocity=(-0.7 * (y - 0.5), 0.7 * (x - 0.5)))
     found = measured(

@@ -100,7 +100,7 @@ def test_slopes_from_vertices_are_exact_for_a_linear_function_in_cells_away_from
     assert slope.target(mesh(0.45, 0.55)) == pytest.approx((2.0, -1.0), abs=1e-12)
 
 
-def test_slopes_from_vertices_turn_in_cells():
+def test_a_linear_slope_is_recovered_from_its_means_at_vertices():
     """The means at vertices of a linear slope are its values there, in a mesh of equal cells."""
     mesh = structured_box((1, 1), (6, 6))
     slope = VertexSlope(mesh, CF((x - 2 * y, y)), periodic=False, of_slope=True)

@@ -184,7 +184,7 @@ def without_interfaces(mesh):
         pytest.param(3, "top", "coupled", marks=pytest.mark.long),
     ],
 )
-def test_a_run_with_an_interface_equals_that_on_the_same_cells_without(dim, interface, solver):
+def test_an_interface_in_the_mesh_does_not_change_a_run(dim, interface, solver):
     """The interface may have the same name as a wall without slip, or as a moving wall."""
     mesh = with_inclusion(dim, interface, 0.4 if dim == 2 else 0.8)
     plain = without_interfaces(mesh)

@@ -19,7 +19,7 @@ def small(observers=(), **options):
     return nv.Simulation(box((1, 1), maxh=0.5), model, observers=list(observers), **options)
 
 
-def test_probes_and_lines_have_the_fields_values():
+def test_probes_and_lines_have_the_values_of_the_fields():
     probes = nv.Probes({"in": (0.3, 0.4), "corner": (1, 1)}, ["velocity", "J", "F_12"], every=2)
     line = nv.LineSamples((0, 0.5), (1, 0.5), 5, ["density"])
     run = small([probes, line])

@@ -53,7 +53,7 @@ def test_a_resolved_vibration_does_not_warn() -> None:
 
 
 @pytest.mark.parametrize("goes_on", [nv.Simulation.restore, nv.resume_changed])
-def test_a_restored_run_counts_anew(tmp_path, goes_on) -> None:
+def test_a_restored_run_counts_alternating_steps_anew(tmp_path, goes_on) -> None:
     file = tmp_path / "states.h5"
     run = _ring(startup=0)
     run.observers.append(nv.Checkpoints(file))

@@ -43,7 +43,7 @@ def found(material=NEO_HOOKEAN, dt=0.01, maxh=0.2, G_m=math.inf, velocity_scale=
         (None, nv.HyperViscosity(mu=1e-5, p=4.0), []),
     ],
 )
-def test_a_floor_above_the_rates_of_the_flow_is_named_with_a_lower_one(viscosity, hyper, names):
+def test_advice_names_a_floor_above_the_rates_of_the_flow_and_a_lower_one(viscosity, hyper, names):
     """The default floors are above the rates of a flow at 1e-12 m/s."""
     run = small_run(
         box((1, 1), 0.5),
@@ -60,7 +60,7 @@ def test_a_floor_above_the_rates_of_the_flow_is_named_with_a_lower_one(viscosity
     ("speed", "floor", "is_named"),
     [(1e-4, 1e-3, True), (1e-4, 1e-7, False), (1.0, 1e-3, False), (0.0, 1e-3, False)],
 )
-def test_at_its_end_a_run_names_a_floor_above_its_rates_unless_its_matter_rests(speed, floor, is_named):
+def test_a_finished_run_names_a_floor_above_its_rates_unless_its_matter_rests(speed, floor, is_named):
     law = nv.PowerLaw(K_v=0.1, consistency=0.1, n=0.5, floor=floor)
     velocity = (speed * sin(pi * x) * cos(pi * y), -speed * cos(pi * x) * sin(pi * y))
     run = small_run(material=nv.BarotropicFluid(B=10.0, gamma=2.0), viscosity=law, velocity=velocity)

@@ -88,7 +88,7 @@ def test_products_of_tangent_and_adjoint_are_equal(scheme, solver):
 
 
 @pytest.mark.long
-def test_products_with_energies_at_points_are_equal_to_the_energies_tolerance():
+def test_products_agree_to_the_tolerance_of_energies_that_are_solved_for_at_points():
     """The energies of bodies of different bulk moduli are found by a search at points, and are right to
     1e-8."""
     of = numbers(bodies())
@@ -156,6 +156,6 @@ def test_an_adjoint_without_one_of_its_parts_is_wrong(monkeypatch):
     ("column", "said"),
     [("disc_x_max", "jumps between points"), ("ball_smeared", "counts parts of cells")],
 )
-def test_columns_that_jump_are_refused(method, column, said):
+def test_gradients_of_columns_that_jump_are_refused(method, column, said):
     with pytest.raises(nv.ParameterError, match=said):
         nv.gradient(bodies(), UNTIL, of=[f"{column} at 0.06"], by=[NAME], method=method)

@@ -166,7 +166,7 @@ def test_interfaces_without_derivatives_are_refused(discretisation, method, said
 
 
 @pytest.mark.parametrize("scheme", [by_ci("backward-euler"), "midpoint"])
-def test_sharp_interfaces_have_tangents(scheme):
+def test_tangents_of_runs_with_sharp_interfaces_equal_differences(scheme):
     """The exchanged amounts and the places of planes depend on the parameters. With constant exchanges,
     derivatives of the place would be off by 6 to 30 %, and the derivative of D by half. The disc hardly
     moves upwards, so that the default tolerance of Newton's method would be a ten-thousandth of a

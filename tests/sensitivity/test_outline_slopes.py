@@ -51,7 +51,7 @@ MEASURES = {
 
 
 @pytest.mark.parametrize("name", MEASURES)
-def test_slopes_of_measures_are_limits_of_differences(name):
+def test_slopes_of_an_outline_s_measures_are_limits_of_differences(name):
     outline, measure = slopes_of(THETA), MEASURES[name]
     own = getattr(outline, name, None)
     by_theta, by_v = outline.deformation(name) if own is None else own()

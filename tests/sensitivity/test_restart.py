@@ -114,7 +114,7 @@ def test_a_gradient_stopped_before_its_first_step_is_kept(tmp_path, monkeypatch,
     assert simulation.number == 0
 
 
-def test_a_stop_is_honoured_between_two_stages_of_an_adjoint(tmp_path, monkeypatch):
+def test_an_adjoint_stops_between_two_stages_on_request(tmp_path, monkeypatch):
     simulation, stages, one = run(scheme="sdirk2"), [], Adjoint._stage
 
     def counted(self, *arguments):
@@ -193,7 +193,7 @@ def test_a_damaged_folder_and_a_folder_of_other_derivatives_are_refused(tmp_path
         found(run(), tmp_path)
 
 
-def test_the_folder_grows_with_the_number_of_steps(tmp_path):
+def test_the_size_of_a_gradient_s_folder_is_proportional_to_the_number_of_steps(tmp_path):
     sizes = []
     for steps in (2, 4):
         folder = tmp_path / str(steps)

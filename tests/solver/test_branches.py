@@ -77,7 +77,7 @@ def bodies():
 
 
 @pytest.mark.parametrize("slow", [None, nv.Creep(G_m=1.0, law="conformation"), "bodies"])
-def test_derivatives_of_creep_by_its_stress_equal_those_by_all_components(slow):
+def test_derivatives_of_creep_through_its_stress_equal_derivatives_by_all_components(slow):
     """Rates of the law "conformation" are functions of zeta instead of the stress; rates of bodies also
     depend on the amounts."""
     material = network()

@@ -33,7 +33,7 @@ def test_ledger_closes_and_power_is_not_negative(name, chains):
 
 
 @pytest.mark.parametrize("setting", [by_ci(SETTINGS[0]), SETTINGS[1], by_ci(SETTINGS[2])], ids=str)
-def test_branches_of_different_laws_make_one_fluid(setting):
+def test_the_ledger_closes_for_a_fluid_of_branches_with_different_laws(setting):
     solver, dim, scheme = setting
     parts = {
         f"mode_{i}": nv.Branch(material=CHAINS["Hooke"], creep=OF_CONFORMATION[name])

@@ -263,7 +263,7 @@ def test_a_term_may_read_any_state_in_both_solvers(scheme):
             assert np.abs(ledger.column(name)).max() > 1e-6
 
 
-def test_terms_with_arrays_are_compared_by_identity():
+def test_terms_may_hold_arrays_because_terms_are_compared_by_identity():
     solved(ByArray(np.array([1.0, 0.1])), ByArray(np.array([1.0, 0.2])))
 
 

@@ -77,7 +77,7 @@ def test_the_steady_potential_is_linear_between_a_flux_and_a_reservoir():
         assert abs(mu(run.mesh(place, 0.4)) / expected - 1) < 1e-6
 
 
-def test_a_run_is_resumed(tmp_path):
+def test_a_resumed_run_with_diffusion_equals_the_uninterrupted_run(tmp_path):
     whole = run_of(maxh=0.6, solver="split").run(until=0.2)
     checkpoints = nv.Checkpoints(tmp_path / "run.h5")
     run_of(maxh=0.6, solver="split", observers=[checkpoints]).run(until=0.1)

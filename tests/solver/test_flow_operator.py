@@ -109,7 +109,7 @@ def test_the_flow_operator_has_inertia_convection_and_viscosity(run):
 
 
 @pytest.mark.parametrize("run", [None, "bodies", "window", nv.Creep(G_m=1.0)], indirect=True)
-def test_a_part_without_cells_is_linearised(run):
+def test_a_part_of_the_mesh_without_cells_is_linearised(run):
     """A rank may have no cells."""
     split, at, operator = prepared(run, linear(run, lambda x, y: (x + 2 * y, -y)), 0.01)
     before = operator.from_fields.copy()

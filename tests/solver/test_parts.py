@@ -38,7 +38,7 @@ def solved(threads=1, points=None, monkeypatch=None, **parts):
 @pytest.mark.parametrize(
     "parts", [pytest.param({}, id="elastic"), by_ci({"creep": nv.Creep(G_m=5.0)}, id="creeping")]
 )
-def test_parts_change_only_rounding_and_threads_change_no_bit(parts, monkeypatch):
+def test_parts_of_the_mesh_change_only_rounding_and_threads_change_no_bit(parts, monkeypatch):
     _, whole = solved(**parts)
     run, serial = solved(1, 40, monkeypatch, **parts)
     assert len(run.solver.newton.residual.parts) >= 6
@@ -92,7 +92,7 @@ def test_values_at_points_are_freed_with_their_fields():
 
 
 @pytest.mark.parametrize("cells", [0, 1, 7, 1000, 1001, 50_552])
-def test_parts_contain_each_cell_once(cells):
+def test_parts_of_the_mesh_contain_each_cell_once(cells):
     parts = parts_of(cells, 24)
     assert parts[0].start == 0 and parts[-1].stop == cells
     assert all(one.stop == other.start for one, other in pairwise(parts))

@@ -76,7 +76,7 @@ def test_rules_with_a_gradient_close_the_ledger_in_both_solvers_alike(name):
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_both_solvers_agree(name):
+def test_both_solvers_agree_for_every_flow_rule(name):
     runs = (sheared(EXAMPLES[name], MATERIALS["B"], solver) for solver in ("split", "coupled"))
     assert np.allclose(*(run.run(0.06).column("dissipation_creep") for run in runs), rtol=1e-7)
 

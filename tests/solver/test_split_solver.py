@@ -81,7 +81,7 @@ def test_the_derivative_of_the_hyperviscosity_equals_differences_of_its_rows(k, 
 @pytest.mark.long
 @pytest.mark.ci
 @pytest.mark.parametrize("speed", [1.0, 3e3])
-def test_single_precision_takes_as_many_iterations(speed, monkeypatch):
+def test_single_precision_takes_as_many_iterations_as_double_precision(speed, monkeypatch):
     """One body moves fast as a whole, so that jumps and strains are small differences of large velocities."""
 
     def iterations():
@@ -187,7 +187,7 @@ def test_sources_in_the_rows_of_derived_unknowns_need_the_coupled_solver(reason)
 
 
 @pytest.mark.parametrize("k", [2, by_ci(3)])
-def test_two_levels_give_the_same_solution(k):
+def test_two_levels_give_the_solution_of_the_direct_solver(k):
     order = nv.Discretisation(k=k)
     direct = simulation(discretisation=order)
     two_level = simulation(discretisation=order, newton=TWO_LEVELS)
@@ -292,7 +292,7 @@ def test_two_levels_take_as_many_iterations_on_finer_meshes():
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_wall_stresses_add_few_iterations_to_two_levels():
+def test_wall_stresses_add_few_iterations_to_the_solver_with_two_levels():
     """If the coarse problem lacks the walls' velocities, steps take twice as many iterations."""
 
     def iterations(newton):

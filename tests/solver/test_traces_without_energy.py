@@ -46,7 +46,7 @@ def test_a_step_with_traces_outside_the_energy_s_domain_is_solved(place, solver)
 
 
 @pytest.mark.parametrize("solver", ["coupled", "split"])
-def test_a_facet_that_once_had_no_energy_counts_as_such_until_the_end_of_the_step(solver):
+def test_a_facet_without_energy_in_one_iterate_counts_as_one_until_the_end_of_the_step(solver):
     """Otherwise the force of a facet at the edge of the energy's domain would alternate between iterates."""
     run, B_33, at_rest = start(0.5, solver)
     step, newton = run.ledger.step, run.solver.newton

@@ -122,7 +122,7 @@ IN_SPACE = {"mesh": box((1, 1, 1), maxh=2), "until": 0.02}
         *(pytest.param(scheme, {"solver": "split"}, id=name) for name, scheme in OF_ONES_OWN.items()),
     ],
 )
-def test_ledger_closes(scheme, options):
+def test_ledger_closes_for_yosida_energies_in_three_dimensions_and_for_a_user_s_tableau(scheme, options):
     """The runs are one with a Yosida approximation, one in three dimensions, and those with a user's
     tableaux."""
     options = {"until": 0.04} | options

@@ -111,7 +111,7 @@ def test_a_checkpoint_of_another_scheme_is_refused(tmp_path):
     ],
     ids=["another length", "adaptive to fixed", "fixed to adaptive"],
 )
-def test_times_continue_after_a_restart_with_other_steps(before, after, tmp_path):
+def test_times_continue_after_a_restart_with_other_step_lengths(before, after, tmp_path):
     simulation(**before, observers=[nv.Checkpoints(tmp_path / "run.h5")]).run(0.04)
     rest = simulation(**after)
     rest.restore(tmp_path / "run.h5")
@@ -286,7 +286,7 @@ def test_the_controller_keeps_the_error_at_its_tolerance(scheme):
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
 
 
-def test_small_strains_are_as_accurate_as_their_stress():
+def test_adaptive_steps_do_not_depend_on_the_size_of_a_small_strain():
     """The stress of a Maxwell body at a held strain is exp(-t), with lengths of steps that do not depend on
     the strain. Errors that count relative to F, and not to the strain, let the steps grow without bound."""
     material, creep = nv.LinearElastic(K_e=10.0, G_e=1.0), nv.Creep(G_m=2.0)

@@ -52,7 +52,7 @@ def test_coupled_rates_are_those_of_theory(
 
 
 @pytest.mark.long
-def test_rates_are_lost_if_the_two_sides_of_a_face_have_different_points(
+def test_convergence_rates_are_lost_if_the_two_sides_of_a_face_have_different_points(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Negative control: NGSolve's own rules for triangles, which are not symmetric, give 2.38, not 3.05."""

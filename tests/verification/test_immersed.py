@@ -40,7 +40,7 @@ def test_energy_is_only_lost_to_viscosity_in_a_fluid_without_divergence():
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_the_kept_path_is_the_limit_of_both_kernels():
+def test_the_kept_path_is_the_limit_of_fine_grids_with_both_kernels():
     """Errors on grids are of first order. The limit by each kernel differs from the kept path by less than a
     fifth of the error on 48 cells."""
     times = np.array([0.0, 1.0])

@@ -206,7 +206,7 @@ def test_an_interrupted_report_leaves_no_partial_file_and_can_be_resumed(cases, 
     assert (directory / "report.md").exists() and not list(directory.rglob("*.part"))
 
 
-def test_resume_runs_errors_and_changed_cases_again(cases, tmp_path):
+def test_resume_repeats_cases_that_have_changed_or_ended_in_an_error(cases, tmp_path):
     calls = []
     cases += [case("changed", 0.5, calls=calls), case("error", lambda: 1 / 0, calls=calls)]
     assert main(["-o", str(tmp_path / "r")]) == FAILED
@@ -225,7 +225,7 @@ def test_a_result_is_unchanged_by_writing_and_reading_json():
     assert again == result and again.outcome.plots[0].curves[0].y == [2.0]
 
 
-def test_a_table_of_rates_computes_its_rates_and_refuses_smaller_ones():
+def test_a_rate_table_computes_its_rates_and_refuses_rates_below_a_bound():
     table = RateTable("r", "h", [1.0, 0.5, 0.25], {"a": [1.0, 0.25, 0.0625]})
     assert table.rates("a") == pytest.approx([2, 2])
     table.require(a=1.99)
@@ -244,7 +244,7 @@ BOTH_MODELS = (
 )
 
 
-def test_cases_of_both_models_exist_linearised_and_at_finite_strains_and_all_are_described():
+def test_cases_exist_for_both_models_and_every_case_is_described():
     names = {c.name for c in all_cases()}
     for name in BOTH_MODELS:
         assert {f"{name}-linearised", f"{name}-finite"} <= names

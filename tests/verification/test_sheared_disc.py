@@ -13,12 +13,12 @@ def test_steady_ellipse_without_bounds_has_the_closed_form(capillary: float) -> 
     assert np.sin(2 * np.radians(angle)) == pytest.approx(D / capillary, rel=2e-3)
 
 
-def test_images_fall_with_the_square_of_the_cell() -> None:
+def test_the_effect_of_periodic_images_falls_with_the_square_of_the_cell_size() -> None:
     near, far = images(4.0), images(8.0)
     assert near[1][0, 0] / far[1][0, 0] == pytest.approx(4.0, rel=0.2)
 
 
-def test_images_in_a_cell_of_12_radii_enlarge_the_steady_deformation() -> None:
+def test_periodic_images_in_a_cell_of_12_radii_enlarge_the_steady_deformation() -> None:
     """The published closed form is for one disc alone; the kept references have .1900 in place of .1866."""
     alone, among = (ellipse(0.2, np.array([20.0]), *of)[0][0] for of in ((), (images(12.0),)))
     assert 1.012 < among / alone < 1.024
