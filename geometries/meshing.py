@@ -168,7 +168,7 @@ class Domain:
                 wall.maxh = local
         if self.is_delicate:
             try_shape(owner, shape, dim, size)
-        try:  # one thread: with more threads, Netgen waits a second for a mesh of twelve cells
+        try:  # one thread, because Netgen with several threads takes a second for a mesh of twelve cells
             mesh = Mesh(OCCGeometry(shape, dim=dim).GenerateMesh(maxh=size, parallel_meshing=False))
         except Exception as error:  # OpenCASCADE and Netgen have many error types
             raise MeshError(f"{owner}: Netgen cannot mesh the shape ({error})") from error
@@ -192,7 +192,8 @@ def _check_count(field: str, value: float, measure: float, h: float, dim: int, n
     # cell sizes grow with the distance s to a wall: int measure c / (h + 0.3 s)^dim ds
     factor = _CELLS_PER[dim] * measure / (1.0 if n == dim else _GRADING * (dim - 1))
     if not factor <= MAX_CELLS * h**n:
-        least = 1.06 * (factor / MAX_CELLS) ** (1 / n) * unit  # rounded up, so that two digits suffice
+        # larger by 6 %, so that the number rounded to two digits is still large enough
+        least = 1.06 * (factor / MAX_CELLS) ** (1 / n) * unit
         count = math.exp(min(math.log(factor) - n * math.log(h), 700))
         raise ParameterError(
             field, value, f"at least {least:.2g} m, since the given size makes about {count:.0e} cells"

@@ -135,7 +135,7 @@ class StepError(NgviscoError, RuntimeError):
         Place and cause of the failure of a ``Simulation``'s step, and remedies.
     """
 
-    report: Any = None  # Any, because this room may not import the class
+    report: Any = None  # typed Any, because this room may not import the report's class
 
     def __init__(self, message: str, history: Sequence[Any] = ()) -> None:
         self.history: tuple[Any, ...] = tuple(history)

@@ -153,7 +153,7 @@ def _operations(node: ast.AST) -> float:
     inner = sum(_operations(child) for child in ast.iter_child_nodes(node))
     uses = 1
     if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-        inner -= 1  # the function's name does not count
+        inner -= 1  # the function's name is a child of the call, but no operation
         uses = _USES.get(node.func.id, 1)
     elif isinstance(node, ast.BinOp) and isinstance(node.op, ast.Pow):
         uses = _factors(node.right)

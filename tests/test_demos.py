@@ -169,7 +169,7 @@ def test_case_file_gives_the_numbers_of_its_script(name, tmp_path):
     theirs = script.ledger if script.number else script.run(until)
     ours = run.ledger
     assert run.dt == script.dt and run.number == script.number
-    assert run.t == pytest.approx(until)  # in two steps, or more where a hard start is taken in halves
+    assert run.t == pytest.approx(until)  # the run takes two steps, or more if a hard first step is halved
     assert ours.columns == theirs.columns
     for column in ours.columns:
         # these columns measure rounding

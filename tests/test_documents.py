@@ -71,7 +71,7 @@ def test_cited_sections_of_the_formulation_exist():
     }
     assert {number for _, number in cited} <= set(sections), cited
     assert len(cited) >= 5
-    # Section n without the file's name is the paper's
+    # Section n without the name of a file is a section of the paper
     inside = re.findall(r"Section (\d+)", FORMULATION.read_text())
     assert {int(number) for number in inside} <= set(sections)
 

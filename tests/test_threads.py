@@ -79,7 +79,7 @@ def test_the_blas_has_one_thread_in_every_factorisation_of_a_resumed_run(monkeyp
     with threadpool_limits(2, "blas"):
         made(nv.Checkpoints(tmp_path / "run.h5", every=1)).run(0.02)
         of_steps = len(numbers)
-        made().restore(tmp_path / "run.h5")  # which repeats the last factorisation
+        made().restore(tmp_path / "run.h5")  # the restored run repeats the last factorisation
     assert of_steps >= 1
     assert numbers == (of_steps + 1) * [{1}]
 

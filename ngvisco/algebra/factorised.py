@@ -192,8 +192,8 @@ class TwoLevelSolver:
         all_fine = sp.vstack(among_fine, format="csr")
         del from_coarse, among_fine
         self._among_fine = all_fine.astype(precision.SINGLE, copy=False)
-        # a sum of matrices, scaled by its diagonal, has no larger eigenvalue than its summands, each scaled
-        # by its own diagonal
+        # if each matrix is scaled by its own diagonal, the largest eigenvalue of a sum is no larger than
+        # those of the summands
         middle = 0.5 * exchange.communicator.most(largest_eigenvalue(all_fine)) * (1 + 1 / SMOOTHED)
         self._smoother = (1 / (middle * diagonal[fine])).astype(precision.SINGLE)
 
@@ -220,7 +220,8 @@ class TwoLevelSolver:
     def _smoothed(self, r: np.ndarray) -> np.ndarray:
         """Correction of the fine functions for their residual ``r``, by sweeps that start at zero."""
         x = step = self._smoother * r
-        ratio = half = (SMOOTHED - 1) / (SMOOTHED + 1)  # half of the eigenvalues' range over its middle
+        # half of the range of the eigenvalues, divided by the middle of the range
+        ratio = half = (SMOOTHED - 1) / (SMOOTHED + 1)
         for _ in range(SWEEPS - 1):
             last, ratio = ratio, 1 / (2 / half - ratio)
             remaining = r - self._of_fine.sum(self._among_fine @ x)

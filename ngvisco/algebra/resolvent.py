@@ -52,7 +52,7 @@ class Resolvent:
         for some, block in zip(self.groups, self.blocks, strict=True):
             of_group = np.empty((cells, count, q, len(some)), rows.dtype)
             for here, there in (runs := _runs(some, taken)):
-                # rows of shared components count in the first group only
+                # shared components belong to every group, and only the first group has their rows
                 of_group[..., there] = 0.0 if taken[here.start] else rows[..., here].swapaxes(1, 2)
             product = np.matmul(of_group.reshape(cells, count, q * len(some)), block)
             product = product.reshape(of_group.shape)

@@ -264,7 +264,7 @@ def _settle_state(values: dict[str, Any], material: Any) -> None:
     network = part_of(material, Network)
     branches = {} if network is None else network.parts
     if values.get("elastic_state", "") is None:
-        while not hasattr(material, "elastic_state"):  # a wrapper, such as heat, or a Prony series
+        while not hasattr(material, "elastic_state"):  # heat and Prony series wrap a material
             material = next(iter(branches.values()), material).material
         values["elastic_state"] = material.elastic_state
     if values.get("material") is not None:  # a gas has no inner material

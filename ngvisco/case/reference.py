@@ -124,7 +124,7 @@ def _walk(models: Sequence[type[Section]], path: tuple[str, ...]) -> Iterator[Ke
                 None if inner else annotation.example if is_empty else default,
             )
             below = (*path, name, *place_in(field.annotation))
-            # keys of a table that stands in two places are listed once, under the other table
+            # a table may stand in two places; its keys are then listed once, under the other place
             if inner and below not in _same_keys():
                 yield from _walk(inner, below)
 

@@ -125,7 +125,8 @@ def resume(
 
     def prepare() -> None:
         place.require_checkpoints()
-        if not place.versions_file.exists():  # this file is written last: the run was killed while preparing
+        # without this file, which is written last, the run was killed before it began
+        if not place.versions_file.exists():
             place.prepare(case, mesh_image(case.mesh()))
 
     with ranks.held_by_first(place.locked()):
@@ -260,7 +261,7 @@ def changed(place: RunDirectory, case: Case, settings: Sequence[str]) -> Case:
     )
     try:
         new = parse_case(case.resolved, case.source, case.directory, settings)
-    except CaseError:  # another kind has other keys: the error names the key of the kind, and not these
+    except CaseError:  # a section of another kind has other keys; the error names the key of the kind
         for setting in (text for text in settings if "=" in text):
             path, value = parse_override(setting)
             if _KINDS.fullmatch(".".join(path)) and value != given(case.sections, path):

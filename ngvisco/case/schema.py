@@ -111,7 +111,8 @@ Discretisation, Initial, Solver, TimeSteps = (
 def _require_length(name: str, length: float, until: float, most: int, reason: str) -> None:
     """Raise ParameterError for a length of time, s, that fits more than ``most`` times into ``until``."""
     if until / length > most:
-        least = 1.06 * until / most  # 6 % more, so that rounding to two digits stays above the limit
+        # larger by 6 %, so that the number rounded to two digits is still large enough
+        least = 1.06 * until / most
         raise ParameterError(name, length, f"at least {least:.2g} s, {reason}")
 
 

@@ -50,7 +50,7 @@ class Section(BaseModel):
     If the validation has a context, the context first converts the table's data (``ngvisco.case.units``).
     """
 
-    # if each section were built when it is declared, it would build its inner sections once more: 110 MB at
+    # a section that is built when it is declared builds its inner sections once more, which takes 110 MB at
     # import
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, defer_build=True)
     target: ClassVar[Any] = None
@@ -131,7 +131,7 @@ def _annotation(hint: Any, types: Mapping[Any, Any]) -> Any:
             hints = functools.reduce(operator.or_, (part for part in arguments if part is not NoneType))
             inner = _annotation(hints, types)
             return None if inner is None else inner | None
-        # parts that only Python can give, such as a path or a class, are left out
+        # parts that have no value in a case file, such as a path or a class, are left out
         parts = [inner for inner in (_annotation(part, types) for part in arguments) if inner is not None]
         return functools.reduce(operator.or_, parts) if parts else None
     if origin in (Sequence, list, tuple):

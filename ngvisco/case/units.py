@@ -160,7 +160,7 @@ class Converter:
             is_region = isinstance(value, str) and _is(parse_region, value)
             return self._in_si_places(value) if is_region else value
         if annotation is EnergyText:
-            # the energy's value is in units of the case, its variables are numbers; [units] has no J/kg
+            # the value is in units of the case, the variables are numbers; [units] has no unit for J/kg
             scale = 1.0 if data.get("per") == "mass" else self._scale(unit)
             return value if scale == 1.0 or not isinstance(value, str) else f"({value})*{scale!r}"
         is_function = values_of(model).get(name, NUMBERS) is not NUMBERS
@@ -246,7 +246,7 @@ def key_and_unit_of(
     key = next(iter(reached(sections, (), names)), ())
     if len(key) != len(names):
         return name, ""
-    # a component of a vector has the vector's unit; the case as a whole is a table, too
+    # a component of a vector has the unit of the vector, so that the key of the vector is tried, too
     places = ((given(sections, key[:length]), key[length]) for length in reversed(range(len(key))))
     table, last = next((table, last) for table, last in places if isinstance(table, Section))
     whole = ".".join(key)

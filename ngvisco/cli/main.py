@@ -204,7 +204,8 @@ def _names(text: str) -> list[str]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
-    # with more BLAS threads than processors the sparse solver is slow; the rounding depends on their number
+    # the sparse solver is slow with more BLAS threads than processors; rounding depends on the number of
+    # threads
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     options = parser().parse_args(arguments)
     # processor time of the imports: a process started for this command has only imported NGSolve and this

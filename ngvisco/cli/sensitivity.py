@@ -181,7 +181,7 @@ def _bounds(text: str, case: Case) -> tuple[str, tuple[float, float]]:
     _, unit = key_and_unit_of(name.strip(), case.sections)
     try:
         low, high = (case.units.number(part.strip(), unit or "1") for part in value.split(","))
-    except ValueError as error:  # UnitError is a ValueError; so is a wrong number of values
+    except ValueError as error:  # a wrong unit, and a wrong number of values
         expected = "KEY=LOW,HIGH: two numbers in the case's units, or with units as in KEY=10 kPa,1 MPa"
         raise ParameterError("--bounds", text, f"{expected} ({error})") from None
     return name.strip(), (low, high)

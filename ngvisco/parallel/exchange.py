@@ -125,7 +125,7 @@ class Exchange(Owned):
         got = self._got({rank: values[..., unknowns] for rank, unknowns in self.shared.items()})
         result = np.array(values)
         result[..., self.places] = 0.0
-        for rank in sorted([*got, self.communicator.rank]):  # equal order on every rank
+        for rank in sorted([*got, self.communicator.rank]):  # the order is the same on every rank
             if rank == self.communicator.rank:
                 result[..., self.places] += values[..., self.places]
             else:

@@ -54,7 +54,7 @@ def petsc() -> Any:
     try:
         import petsc4py
 
-        petsc4py.init(["ngvisco", "-no_signal_handler"])  # SIGTERM and closed pipes are ours to handle
+        petsc4py.init(["ngvisco", "-no_signal_handler"])  # ngvisco handles SIGTERM and closed pipes itself
         from petsc4py import PETSc
     except ImportError as error:
         raise PETScError(f"{MISSING} ({error})") from error
@@ -149,7 +149,7 @@ class SumInverse:
         with self.communicator.together(SingularError):
             if self.communicator.is_idle:
                 return
-            self.forget()  # freed first: two factorisations at once would be the peak of a run's memory
+            self.forget()  # freed first, because a run takes the most memory if it holds two factorisations
             matrix, failure = self._matrix(0.5 * (local + local.T) if self.symmetric else local), None
             if self._solving is not None:
                 failure = self._set_up(matrix)

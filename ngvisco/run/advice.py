@@ -203,7 +203,7 @@ class Scales:
                 f"the longitudinal modulus is {ratio:.2g} times the shear modulus, so that steps are hard "
                 "to solve" + "".join(f"; {remedy}" for remedy in remedies)
             )
-        # the flow is slow beside its pressure waves, and the steps do not follow these waves
+        # the flow is much slower than pressure waves, and the steps do not resolve these waves
         if self.k == 2 and slow == 0 and self._over_flow > _LOCKS and self.dt * _FOLLOWED > self.passage:
             yield (
                 f"the longitudinal modulus is {self._over_flow:.2g} times the stress of the flow, the larger "

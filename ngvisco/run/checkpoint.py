@@ -126,7 +126,7 @@ class Checkpoints:
         kept = {number: kept[number] for number in sorted(kept)[-self.keep :]}
         if simulation.ranks.is_first:
             write_atomically(self.path, self._image(simulation, kept))
-        self._kept = kept  # this is set after writing, so that the end of the run tries again after an error
+        self._kept = kept  # set after writing: if writing fails, the end of the run tries again
 
     def _image(self, simulation: Simulation, kept: Mapping[int, Snapshot]) -> bytes:
         image = io.BytesIO()

@@ -71,7 +71,7 @@ def require_names_of_their_own(material: Material, further: Sequence[str], carri
     bodies = material.bodies if isinstance(material, Mixture) else ()
     reserved = (*_OWN, *NAMES, *(body.name + _FRACTION for body in bodies), *(["body"] if bodies else []))
     reserved = (*reserved, *(v.strain for v in material.variables if isinstance(v, PlasticContent)))
-    if entropy_in(material) is not None:  # without an entropy, a given temperature may have this name
+    if entropy_in(material) is not None:  # without an entropy, the name is free for a given temperature
         reserved = (*reserved, TEMPERATURE)
     for variable in material.variables:
         if variable.name in reserved:
@@ -260,7 +260,7 @@ def eigenvalues(A: CoefficientFunction) -> CoefficientFunction:
     q, deviator = (1 / 3) * tr(A), dev(A)
     s = square(deviator) / 6
     p = sqrt(if_positive(s, s, 0.0))
-    # of a spherical tensor every direction is a principal direction, so that any phi is right
+    # every direction is a principal direction of a spherical tensor, so that any angle phi is right
     cosine = 0.5 * det(deviator) / if_positive(s, s * p, 1.0)
     # rounding may take the cosine beyond -1 or 1
     cosine = if_positive(cosine - 1, 1.0, if_positive(cosine + 1, cosine, -1.0))

@@ -108,7 +108,8 @@ def mesh_image(mesh: Mesh) -> bytes:
         require_whole(path)
         lines = path.read_bytes().split(b"\n")
     first = lines.index(b"points") + 2
-    for i, point in enumerate(coordinates(mesh).tolist()):  # in 16 decimals 1e-17 m would be 0
+    # repr keeps all digits; with 16 decimals 1e-17 m would be 0
+    for i, point in enumerate(coordinates(mesh).tolist()):
         lines[first + i] = " ".join(map(repr, [*point, 0.0][:3])).encode()
     return b"\n".join(lines)
 

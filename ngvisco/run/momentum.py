@@ -185,14 +185,12 @@ class Momentum:
         defect = self._array(row, "momentum") - self._totals.last - sum(impulses, np.zeros(len(self.motions)))
         row |= dict(zip(self._names(DEFECT), map(float, defect), strict=True))
         totals = self._added(row | {"stored": values["stored"], "dt": tau})
-        # in a direction without a load two rounding errors remain: that of impulses in other directions, and
-        # that of the reactions of walls that clamp a body under stress, although these reactions add up to
-        # zero
+        # in a direction without a load two rounding errors remain: the error of impulses in other directions,
+        # and the error of walls that clamp a body under stress, although the walls' reactions add up to zero
         rounding = _ROUNDING * ((totals.exchanged / self._reach).max(initial=0.0) + totals.stressed)
         moving = totals.moving + values["mass"] * self._velocity() + rounding
-        # if one material fills the domain, a defect larger than the whole momentum does not move the
-        # material: the walls bear the defect, as they bear the stress. In other matter a body may be moved by
-        # such a defect, against viscosity
+        # a defect may be larger than the whole momentum. If one material fills the domain, the walls bear
+        # this defect, as they bear the stress. A body in other matter may be moved by it, against viscosity
         is_borne = self._is_alone & (abs(totals.defect) > self._reach * moving)
         borne = np.where(is_borne, self._reach * totals.stressed, 0.0)
         scale = self._reach * moving + totals.exchanged + borne

@@ -97,7 +97,8 @@ class Progress:
             steps = f"{count - done if done else count} steps of {simulation.dt:g} s"
             self._total = f"/{count}"
         line = f"{simulation.cells} cells, {simulation.unknowns} unknowns, {steps}, {simulation.scheme}"
-        if line != self._last:  # a run on meshes that follow a field starts anew on each mesh
+        # a run whose mesh follows a field starts anew on each mesh, and would print its first line again
+        if line != self._last:
             self._print(line)
         self._last = line
 

@@ -53,7 +53,7 @@ class Cut:
         order = np.where(turned[:, None], [0, 2, 1], [0, 1, 2])
         above = np.take_along_axis(values, order, axis=1) >= level
         count = above.sum(axis=1)
-        # first the corner that is alone on its side of the line, then the other corners counterclockwise
+        # the first corner is the one alone on its side of the line; the others follow counterclockwise
         alone = np.where(count == 1, above.argmax(axis=1), (~above).argmax(axis=1))
         order = np.take_along_axis(order, (alone[:, None] + [0, 1, 2]) % 3, axis=1)
         corners = np.take_along_axis(corners, order[:, :, None], axis=1)

@@ -37,7 +37,7 @@ class Periods:
         between = np.concatenate(ranks.gathered(corners[:, 1] - corners[:, 0]))
         size = float(abs(between).max(initial=0.0)) or 1.0
         rounded = np.round(between / (_SAME * size)).astype(np.int64)
-        # the same boundary may be the first of a pair or the second
+        # a boundary may be the first or the second of its pair
         leading = rounded[np.arange(len(rounded)), (rounded != 0).argmax(axis=1)]
         _, first = np.unique(rounded * np.sign(leading)[:, None], axis=0, return_index=True)
         return cls(between[first] * np.sign(leading[first])[:, None])

@@ -52,7 +52,8 @@ class _Renumbering:
         parts = self._ranks.mpi.gather(values)
         if parts is None:
             return np.zeros(0)
-        result = np.zeros(self._count + 1)  # values of unknowns with the number -1 go into the last entry
+        # the last entry receives the values of unknowns with the number -1
+        result = np.zeros(self._count + 1)
         for numbers, part in zip(self._parts, parts, strict=True):
             result[numbers] = part
         return result[:-1]

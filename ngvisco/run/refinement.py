@@ -85,7 +85,7 @@ class Refinement:
             raise MeshError(message)
         simulation.stepper.check("Refinement.every", self.every)
         self.steep(simulation)
-        require_fit(simulation, simulation)  # a state has to fit to later meshes as to this one
+        require_fit(simulation, simulation)  # a state has to fit to the later meshes too
 
     def steep(self, simulation: Simulation) -> np.ndarray:
         """Whether each cell of the whole mesh is to be divided, (cells,), on the first rank; collective."""

@@ -144,7 +144,8 @@ def extreme_places(step: Step, sampler: Sampler) -> list[ExtremePlace]:
         own = material.own_names(body.name)
         names += [own.get(v.name, v.name) for v in body.material.variables if isinstance(v, Parameter)]
         among = np.flatnonzero(most == number)
-        if not len(among):  # the body is smaller than a cell, so that another body is larger in every cell
+        # another body has the larger share in every cell, because the body is smaller than a cell
+        if not len(among):
             among = amounts[:, [number]].argmax(axis=0)
         alone = np.zeros(states.shape[1])
         for variable in material.densities(body.name):
@@ -179,7 +180,7 @@ def typical_velocity(step: Step, sampler: Sampler, dt: float) -> float:
     # rounding of the energy at rest is no elastic energy to release
     if ranks.most(np.array(strains)) > _AT_REST:
         excess = step.energy.samples(u.z_tensors, sampler) - step.energy.samples(values_at_rest, sampler)
-        # the energy stored at a place moves the mass at this place
+        # the stored energy at a place accelerates the mass at the same place
         inertia = np.asarray(sampler.values(u.rho)).reshape(excess.shape) if places else least
         elastic = math.sqrt(2 * ranks.most(abs(excess) / inertia))
     walls = step.moving_walls.velocities().values()

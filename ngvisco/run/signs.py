@@ -158,7 +158,7 @@ class Signs:
     def _check_entropy(self, row: Mapping[str, float]) -> None:
         productions = {name: row[name] for name in self._productions}
         least = min(productions, key=lambda name: productions[name], default="")
-        # near rest a production is an error of the iteration, in proportion to the whole entropy
+        # near rest a production is an error of the iteration, which is proportional to the whole entropy
         rate = (abs(row.get("entropy", 0.0)) + self._capacity) / row["dt"]
         share, rounding = _NEGATIVE, _ROUNDING * rate
         # production by upwinding is >= 0 up to an error of projection

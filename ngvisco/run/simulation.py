@@ -279,7 +279,8 @@ class Simulation(RunState):
             for observer in self.observers:
                 try:
                     tell(self.ranks, observer, observer.finish, self)
-                except Exception as error:  # so that other observers still finish their files
+                # an error of one observer must not keep the others from finishing their files
+                except Exception as error:
                     failure = failure or error
         if failure is not None:
             raise failure

@@ -179,7 +179,7 @@ def take_up(
         if [row["step"] for row in rows] != list(range(number + 1)):
             message = f"{path}: the ledger in this file lacks rows of some of the steps 0 to {number}"
             raise CheckpointError(message)
-        with opened(path) as file:  # in files of older versions, which have no limits, this run's limits hold
+        with opened(path) as file:  # files of older versions have no limits; then this run's limits hold
             limits = [(int(first), float(limit)) for first, limit in file["ledger"].attrs.get(CLOSURES, ())]
         return snapshot.numbers, list(snapshot.arrays), names, rows, limits
 

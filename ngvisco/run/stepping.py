@@ -269,7 +269,7 @@ class FixedStepper:
         """Number of the step to which the state at ``time`` (s) belongs, and whether the state ends the step
         and not only a part.  ``number`` is the state's row in the ledger."""
         position = self._position(time)
-        if position < 0:  # earlier steps had another length
+        if position < 0:  # the time belongs to earlier steps, which had another length
             return number, True
         whole, part = divmod(position, self._parts)
         return self._first + whole + (part > 0), part == 0
@@ -372,7 +372,7 @@ class AdaptiveStepper:
                     new_time = t + step.tau
                 try:
                     error = None if estimate is None else estimate(new_time, scheme)
-                except BaseException:  # also after an interrupt, no state of an unaccepted step stays
+                except BaseException:  # no state of an unaccepted step may stay, also after an interrupt
                     integrator.undo()
                     raise
                 history, shorter = (), tau / LARGEST_CHANGE
@@ -421,7 +421,7 @@ class AdaptiveStepper:
             if self.streak >= self.options.patience:
                 self.dt, self.streak = min(2 * self.dt, self.options.dt_max), 0
             return
-        # a floor, because an error of 0 does not scale with tau
+        # the error has a lower bound, because an error of 0 gives no length of the next step
         aim, floor = SAFETY * tolerance, 1e-3 * tolerance
         power = 1 / (order + 1)
         factor = (aim / max(error, floor)) ** (INTEGRAL * power)

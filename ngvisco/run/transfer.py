@@ -147,7 +147,7 @@ def require_fit(source: Simulation, target: Simulation) -> None:
         if isinstance(v, Amount) and densities.get(v.name, v.density) != v.density:
             name = f"bodies[{v.name.removeprefix(AMOUNT)!r}].density"
             expected = f"{densities[v.name]:.6g} kg/m^3, as in the source of the state"
-            # because with another density either mass or volume would change
+            # with another density either the mass or the volume of the body would change
             raise ParameterError(name, v.density, expected)
     if [(v.name, repr(v)) for v in had] != [(v.name, repr(v)) for v in has]:
         names = [", ".join(v.name for v in side) for side in (had, has)]

@@ -132,7 +132,8 @@ class BodySlopes:
         functions = [GridFunction(space) for _ in range(len(self.table.names) + mesh.dim)]
         v = self.variations.trial.v
         values = [*(self._theta[name] for name in self.table.names), *(v[i] for i in range(mesh.dim))]
-        volume = sqrt(Det(specialcf.JacobianMatrix(mesh.dim)) ** 2)  # points have the weight 1, not |J|
+        # division by this volume gives points the weight 1, not |J|
+        volume = sqrt(Det(specialcf.JacobianMatrix(mesh.dim)) ** 2)
         form, over = BilinearForm(self.step.layout.space), dx(intrules=lattice.rules)
         form += Variation(sum(f * value for f, value in zip(functions, values, strict=True)) / volume * over)
         return splu(basis_at(space, lattice)).solve, functions, self.variations.applied(form, lambda: None)

@@ -227,7 +227,8 @@ class Numbers:
         times, of_stages = history.times, columns.is_of_stages
         lengths = np.diff(times, prepend=times[0])[:, None]
         ends, integrals = np.moveaxis(np.array([self._weights(n, times) for n in self.wanted]), 1, 0)
-        means = np.flip(np.cumsum(np.flip(integrals, 1), 1), 1)  # all later integrals contain a step
+        # the integral up to a time contains all steps before it
+        means = np.flip(np.cumsum(np.flip(integrals, 1), 1), 1)
         means *= lengths
         means += np.where(of_stages, ends * np.where(columns.is_of_steps, lengths, 1.0), 0.0)
         coefficients = self.coefficients(self.parts(history))

@@ -70,7 +70,7 @@ class ClosedSurface(Shape):
                 self.path,
                 "no closed surface in a mesh of two dimensions, since a surface bounds no part of a plane",
             )
-        # only the sign of the crossings is used: parts that overlap give larger numbers
+        # a point is inside if the number is > 0; where parts overlap the number is larger
         inside = crossings(self.triangles, at.coordinates) > 0
         size = at.spacing.copy()
         near = at.of_cut_pieces(inside)
@@ -144,7 +144,7 @@ def _inward(corners: np.ndarray, part: np.ndarray, volumes: np.ndarray) -> np.nd
     pieces = [corners[part == number] for number in range(len(volumes))]
     low = np.array([piece.min(axis=(0, 1)) for piece in pieces])
     high = np.array([piece.max(axis=(0, 1)) for piece in pieces])
-    around = np.arange(len(pieces))  # the outermost part around each part, or the part itself
+    around = np.arange(len(pieces))  # the outermost part that contains each part, or the part itself
     largest_first = np.argsort(-abs(volumes), kind="stable")
     for number, piece in enumerate(pieces):
         within = ((low <= low[number]) & (high >= high[number])).all(axis=1)
@@ -307,7 +307,7 @@ class Image(Shape):
         darkness = (self.threshold - self.grey) * (1 if self.dark else -1)
         from scipy.interpolate import RegularGridInterpolator  # a fifth of the package's import time
 
-        # values are at the middles of pixels; padding extends the outer pixels to the picture's edges
+        # values belong to the middles of pixels; padding extends the outer pixels to the picture's edges
         padded = np.pad(darkness, 1, mode="edge")
         axes = [np.arange(-0.5, n + 1) for n in count]
         pixels = (at.coordinates - low) / size * count

@@ -187,7 +187,8 @@ def subdivision(dim: int, count: int, is_quad: bool = False) -> tuple[np.ndarray
             path = np.array([start] * (dim + 1))
             for i, axis in enumerate(steps):
                 path[i + 1 :, axis] += 1
-            if is_quad or (np.diff(path, axis=1) <= 0).all():  # 1 >= a >= b >= c >= 0, the simplex
+            # the corners are in the simplex 1 >= a >= b >= c >= 0
+            if is_quad or (np.diff(path, axis=1) <= 0).all():
                 ends.append(path)
     corners, pieces = np.unique(np.array(ends).reshape(-1, dim), axis=0, return_inverse=True)
     if not is_quad:  # maps (a, b, c) to (a - b, b - c, c)
@@ -199,7 +200,8 @@ def _larger(dim: int, count: int, is_quad: bool) -> np.ndarray:
     """Sub-cells of twice the size, (pieces, dim + 1), with corners numbered as those of the small
     sub-cells."""
     small, (corners, pieces) = subdivision(dim, count, is_quad)[0], subdivision(dim, count // 2, is_quad)
-    numbers = {tuple(corner): i for i, corner in enumerate(small)}  # equal bit for bit: count is even
+    # corners are equal bit for bit, because count is even
+    numbers = {tuple(corner): i for i, corner in enumerate(small)}
     return np.array([numbers[tuple(corner)] for corner in corners])[pieces]
 
 
@@ -229,7 +231,7 @@ def _projected(
     count = _PIECES[mesh.dim]
     fine = _projection(mesh, cells, is_quad, shares[0], powers, count)
     coarse = _projection(mesh, cells, is_quad, shares[1], powers, count // 2)
-    # errors are of second order: on small sub-cells a quarter of the errors on large ones
+    # errors are of second order, and therefore four times smaller on the small sub-cells
     better = [a + (a - b) / 3 for a, b in zip(fine, coarse, strict=True)]
     is_share = ((better[1] >= 0) & (better[1] <= 1)).all(axis=0, keepdims=True)
     polynomials, means = (np.where(is_share, a, b) for a, b in zip(better, fine, strict=True))

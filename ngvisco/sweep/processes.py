@@ -43,8 +43,8 @@ def connected(scheduler: str | None, workers: int) -> Iterator[Any]:
     try:
         protocol, place = distributed.comm.parse_address(scheduler)
         if protocol in ("tcp", "tls"):
-            # the address is checked first: a client that does not connect raises a second error when Python
-            # deletes it
+            # the address is checked first, because a client that does not connect raises a second error when
+            # Python deletes the client
             distributed.comm.parse_host_port(place)
         client = distributed.Client(scheduler, timeout=_CONNECT, set_as_default=False)
     except (OSError, ValueError) as error:

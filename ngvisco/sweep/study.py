@@ -231,7 +231,7 @@ class Study:
         for number in todo:
             outcome = self.outcomes[number]
             files = str(self._case_file(outcome.name)), str(self._place(outcome).path)
-            # not pure: dask must run a stopped case again rather than return its earlier result
+            # pure=False makes dask run a stopped case again instead of returning the earlier result
             future = client.submit(run_or_resume, *files, threads, event.name, pure=False)
             numbers[future] = number
         pending = set(numbers)
@@ -259,7 +259,8 @@ class Study:
             return
         if code in _STOPPED:
             outcome.state = STOPPED
-        elif code is not None and (code not in (0, 4) or not outcome.is_finished):  # None: not started
+        # the code of a run that was not started is None
+        elif code is not None and (code not in (0, 4) or not outcome.is_finished):
             outcome.state = FAILED
             outcome.message = message_of(output) or f"ended with exit code {code}"
 

@@ -167,7 +167,7 @@ class Integrator:
                 if not math.isfinite(value):
                     raise StepError(f"{name} of the step is {value}; take a smaller step or a finer mesh")
             return replace(result, unsolved=sum(getattr(field, "unsolved", 0) for field in self.carried))
-        except BaseException as error:  # also after an interrupt, no half step may remain
+        except BaseException as error:  # no half step may remain, also after an interrupt
             self.undo()
             if isinstance(error, StepError):
                 message = f"step of length {tau:g} s from t = {t:g} s: {error}"

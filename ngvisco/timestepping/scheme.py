@@ -65,7 +65,7 @@ class TimeScheme:
                 "a lower triangular matrix with a positive diagonal, and with one row for each weight of b"
             )
             raise ParameterError("TimeScheme.A", self.A, expected)
-        # tuples of floats can be compared with those of a checkpoint
+        # tuples of floats, unlike arrays, can be compared with the tuples of a checkpoint
         object.__setattr__(self, "A", A)
         object.__setattr__(self, "b", b)
         if not math.isclose(sum(self.b), 1.0, rel_tol=_ROUNDING):

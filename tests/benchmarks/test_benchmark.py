@@ -88,7 +88,7 @@ def test_answers_name_the_cheapest_run_and_compare_it_to_an_older_table(tmp_path
     assert len(rows) == 16 and rows == sorted(rows, key=lambda row: row["seconds"])
     best = [row for row in rows if row["best"]]
     assert best[0] == rows[0] and best[-1]["error"] == min(row["error"] for row in rows)
-    for row in rows:  # an unmarked row has a cheaper row of smaller error
+    for row in rows:  # for each unmarked row another row is cheaper and has a smaller error
         beaten = any(r["error"] <= row["error"] and r["seconds"] <= row["seconds"] for r in rows if r != row)
         assert row["best"] or beaten
     for error, line in zip(answers.ERRORS, answers.to_the_same_error(rows).splitlines()[2:], strict=True):

@@ -324,7 +324,7 @@ def test_arguments_of_observers_that_write_output_have_an_effect(observed, tmp_p
         place.mkdir()
         streams = io.StringIO(), io.StringIO()
         given = {**needed, argument: value}
-        if name == "Progress":  # the second stream gets what the first stream does not
+        if name == "Progress":  # the second stream gets the text that the first stream does not get
             given["stream"] = streams[i if argument == "stream" else 0]
         given = {k: place / v if k in ("path", "directory") else v for k, v in given.items()}
         observer = cls(**given)

@@ -51,7 +51,7 @@ def test_the_directory_of_a_changed_run_holds_both_cases_and_the_change(run):
     assert change["step"] == 2 and change["settings"] == settings
     log = (run / "log.txt").read_text()
     assert "changed: time.dt=0.01" in log and "2 steps of 0.01 s" in log and "step     4/4  t 0.06 s" in log
-    # resuming and loading now mean the changed run
+    # resume and load now use the changed case
     assert nv.case.resume(run, 0.08).number == 6
     assert nv.load(run).case.sections.material.G_e == 6
 
@@ -197,7 +197,7 @@ def test_a_new_run_starts_from_an_earlier_one(run, tmp_path):
     assert ledger["transfer"][0] == pytest.approx(energy[0][-1] - energy[1][0], abs=1e-12)
     assert "the transfer scaled the density" in (new / "log.txt").read_text()
     assert json.loads((new / "versions.json").read_text())["from"]["step"] == 2
-    shutil.rmtree(run)  # the new run stands on its own
+    shutil.rmtree(run)  # the new run does not need the files of the earlier run
     assert nv.case.resume(new, 0.1).number == 3
     assert np.isfinite(nv.load(new).ledger["kinetic"]).all()
 

@@ -170,7 +170,7 @@ WITH = {
     "loads.N.centre": ({}, [-1.0, -1.0], [-2.0, -1.0]),
     "loads.N.exponent": ({}, 0.0, 1.0),
     "loads.N.radius": ({"loads.0.exponent": 1.0}, 1.0, 2.0),
-    "solver.method": ({}, "coupled", "split"),  # "auto" is the coupled solver where cells are few
+    "solver.method": ({}, "coupled", "split"),  # "auto" chooses the coupled solver for few cells
 }
 """For each key, or key and kind: other values that the key needs to have an effect, and two values of the
 key."""

@@ -142,7 +142,8 @@ def test_nested_calls_of_where_are_each_read_once():
     text = "J"
     for _ in range(25):
         text = f"where(J < 1, J, {text})"
-    parse_energy(text, F_AND_J)  # each node is visited once: two visits would be 2^25 in all
+    # each node is visited once; with two visits of each node there would be 2^25 visits
+    parse_energy(text, F_AND_J)
 
 
 @settings(max_examples=300, deadline=None)

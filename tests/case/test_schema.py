@@ -277,7 +277,7 @@ def test_missing_unreadable_and_huge_files_are_refused(tmp_path):
     with pytest.raises(CaseError, match=r"b.toml:1: the file is not text in UTF-8"):
         nv.load_case(tmp_path / "b.toml")
     with (tmp_path / "c.toml").open("wb") as file:
-        file.truncate(3_000_000_000)  # a file without blocks on the disk
+        file.truncate(3_000_000_000)  # a sparse file, which takes no space on the disk
     with pytest.raises(CaseError, match="longer than 1000000 bytes"):
         nv.load_case(tmp_path / "c.toml")
 

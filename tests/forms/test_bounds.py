@@ -198,7 +198,7 @@ def mesh_cell(mesh, point):
         (nv.WithQuadratic(material=nv.Yosida(material=CONVEX, eps=1e-3), delta=1e-3), {"F", "J"}),
         (nv.BarotropicFluid(B=1.0, gamma=1.4, J_min=0.1), {"J"}),
         (nv.NeoHookean(K_e=1, G_e=1, epsilon=1, J_min=0.1, elastic_state="B"), {"J"}),
-        # J^(-2/3) |F|^2 ends at J = 0, whatever J_min
+        # J^(-2/3) |F|^2 has no value at J <= 0, whatever J_min is
         (nv.NeoHookean(K_e=1, G_e=1, epsilon=1, J_min=0.1, elastic_state="F"), set()),
         (nv.ReferentialNeoHookean(K_e=1, G_e=1, J_min=0.1, elastic_state="F"), {"J"}),
         (nv.IsochoricNeoHookean(K_e=1, G_e=1, J_min=0.1, elastic_state="F"), set()),

@@ -247,7 +247,8 @@ def test_rounding_of_an_entropy_that_stays_zero_brings_no_warning():
     with warnings.catch_warnings():
         warnings.simplefilter("error", EntropyWarning)
         run.run(0.05)
-    assert 0 < -min(run.ledger.column(PRODUCTION + "upwinding")) < 1e-12  # heat has this rounding in a step
+    # the heat of one step has a rounding error of this size
+    assert 0 < -min(run.ledger.column(PRODUCTION + "upwinding")) < 1e-12
 
 
 @pytest.mark.filterwarnings("ignore:.*of the present momentum")

@@ -68,7 +68,7 @@ def test_continuity_conserves_mass_for_any_state(case: Case) -> None:
     old, now = (step.quadrature.integrate_cells(f.rho) for f in (step.old, step.now))
     tau = step.context.tau.Get()
     assert rate == pytest.approx((now - old) / tau, abs=1e-13)
-    assert abs(now - old) > 1e-4  # the storage term is not zero in itself
+    assert abs(now - old) > 1e-4  # the storage term by itself is not zero
 
 
 @by_case

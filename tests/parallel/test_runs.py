@@ -177,9 +177,9 @@ def test_ledgers_and_tables_over_ranks_equal_those_of_one_process(group, ranks):
     for name in names:
         one, several = found(1, *names)[name], found(ranks, *names)[name]
         assert (one["cells"], one["unknowns"]) == (several["cells"], several["unknowns"])
-        # the number of iterations depends on a contraction, which errors of linear systems change: with
-        # bodies and a tolerance of 1e-12, an increment of 8e-13 ends the iteration on three ranks, while an
-        # increment of 1e-12 in one process takes two more iterations
+        # errors of linear systems change the contraction, and with it the number of iterations. For example,
+        # with bodies and a tolerance of 1e-12, an increment of 8e-13 ends the iteration on three ranks. In
+        # one process an increment of 1e-12 takes two more iterations
         spare = 2 if name == "split bodies" else 1 if "split" in name else 0
         assert_same_ledger(one["rows"], several["rows"], spare)
         assert_same_tables(one["tables"], several["tables"])

@@ -137,7 +137,7 @@ def test_an_approximation_without_a_minimum_reports_the_reason() -> None:
     assert np.isnan(response.energy).all()
     one = approximation(material, 0.01, np.array([[1.2]]), 2)
     assert np.isfinite(one.energy).all()  # |z|^2/(2 eps) makes the sum convex
-    bounded = EXAMPLES['BarotropicFluid(form="A")']  # A^gamma is finite at 0 and ends there
+    bounded = EXAMPLES['BarotropicFluid(form="A")']  # A^gamma is finite at A = 0, and has no value for A < 0
     response = respond(nv.Yosida(material=bounded, eps=1.0), 2)(np.array([[-1.0], [1.0]]))
     assert response.failure is not None and "no minimiser at 1 points" in response.failure
     assert np.isnan(response.energy[0]) and np.isfinite(response.energy[1])

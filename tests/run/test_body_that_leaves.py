@@ -53,7 +53,7 @@ def test_a_stressed_dense_block_leaves_through_an_open_wall_at_its_speed() -> No
     assert abs(run.fields["cauchy_stress"](run.mesh(0.6, 0.1))[4] - 1.2) < 1e-9
     run.run(0.8)
     column, mass = run.ledger.column, table.column("block_mass")
-    assert 0.0 < mass[-1] < 0.05 * mass[0]  # nothing without smearing
+    assert 0.0 < mass[-1] < 0.05 * mass[0]  # without smearing no mass would be left
     assert abs(mass[10] / mass[0] - 0.5) < 0.02
     assert abs(column("v_max") - 1).max() < 1e-8
     assert abs(column("kinetic") - column("mass") / 2).max() < 1e-8 * column("kinetic")[0]

@@ -132,7 +132,7 @@ def relaxed_size(run):
 
 
 STIFF = [
-    (swirl, "H", 0.01, 0.02, 8),  # Newton from the old state fails in the 5th step
+    (swirl, "H", 0.01, 0.02, 8),  # Newton's method from the old state fails in the fifth step
     (uneven, "H", 0.01, 1.0, 1),
     pytest.param(uneven, "F", 0.001, 1.0, 1, marks=[pytest.mark.long, pytest.mark.ci]),
     *(

@@ -95,7 +95,7 @@ def test_the_default_elastic_state_is_B_for_constants_in_cells_and_F_for_higher_
             assert names(by.at_order(m).material) == names(by.material)
         made = model.at_order(m)  # a chosen elastic state stays the same with other orders
         assert names(made.at_order(0 if m else 1).material) == names(made.material)
-    # a model with replaced parts may still choose
+    # a copy of the model with other loads can still choose the elastic state
     assert names(replace(model, loads=(nv.Gravity((0, -1)),)).at_order(0).material) != names(model.material)
 
 

@@ -129,7 +129,7 @@ def test_each_branch_has_the_stress_and_creep_rate_that_it_has_alone():
     spring = at(run.fields["B_spring"]).reshape(-1, 3, 3)
     assert np.abs(spring - B).max() > 0.01  # one branch relaxes, the other does not
     chains = at(run.fields["B_chains"]).reshape(-1, 3, 3)
-    shear = M + 2 * 1.0 * spring + 2 * 2.0 * chains  # the stress of all branches but for a pressure
+    shear = M + 2 * 1.0 * spring + 2 * 2.0 * chains  # the stress of all branches up to a pressure
     T = at(run.fields["cauchy_stress"]).reshape(-1, 3, 3)
     gap = np.abs((T - shear)[:, ~np.eye(3, dtype=bool)]).max()
     assert gap < 0.01 * np.abs(shear[:, 0, 1]).max()  # conjugates of the chains are projected

@@ -42,7 +42,7 @@ def run(request):
     if asked == "window":  # the bodies' energy has no expression, and is averaged in each cell
         matter = {"bodies": bodies(viscosity, bulk=5.0)}
         options = {"walls": {"right": nv.Open()}, "discretisation": nv.Discretisation(m=0)}
-    if asked == "cubic":  # a function of v vanishes on all sides of its cell
+    if asked == "cubic":  # the cubic space has a basis function of v that vanishes on all sides of its cell
         matter = {"bodies": bodies(viscosity)}
         options = {"discretisation": nv.Discretisation(k=3)}
     if asked == "heat":

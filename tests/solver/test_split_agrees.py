@@ -89,8 +89,8 @@ def assert_both_agree(mesh, physics, steps=2, dt=0.02, **options):
             assert np.linalg.norm(a - b) <= 1e-9 * np.linalg.norm(a), name
     allowed = by_tolerance(split)
     for name, rows in residual(split).items():
-        # v, whose error is much smaller, ends the iteration; the normal derivatives keep the error of the
-        # linear systems. Next to rest, where |a| is 3e-3 1/s, ten times this error was measured
+        # the iteration ends when v has converged. The normal derivatives a then still have the larger error
+        # of the linear systems. Near rest, with |a| = 3e-3 1/s, ten times this error was measured
         spare = 1 / LINEAR_IN_2D if name.startswith("a_") else 1
         assert np.linalg.norm(rows) <= spare * allowed[name], name
     assert np.abs(split.ledger.column("closure_relative")).max() <= 1e-10

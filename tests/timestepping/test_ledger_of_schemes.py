@@ -103,7 +103,7 @@ def test_ledger_closes_with_all_terms(scheme, solver):
 
 _DIAGONAL = (3 + 3**0.5) / 6
 OF_ONES_OWN = {
-    # Crouzeix' of order three is neither one-leg nor stiffly accurate
+    # the scheme of Crouzeix, of order three, is neither one-leg nor stiffly accurate
     "Crouzeix": TimeScheme("crouzeix", ((_DIAGONAL, 0.0), (1 - 2 * _DIAGONAL, _DIAGONAL)), (0.5, 0.5)),
     # two Rothe steps end at one time: their solutions give no rate, and the run does not extrapolate them
     "twins": TimeScheme("twins", ((0.5, 0.0), (0.0, 0.5)), (0.5, 0.5)),

@@ -135,7 +135,7 @@ def test_a_run_with_a_continued_energy_passes_J_of_zero(name):
     one = run.bounds._means.one
     J = parts["z"].components[-1].vec.FV().NumPy()
     dofs = np.array(step.layout.blocks["rho"].GetDofNrs(list(run.mesh.Elements())[7]))
-    J[dofs] -= 1.2 * one[dofs]  # a cell turned inside out
+    J[dofs] -= 1.2 * one[dofs]  # J becomes negative in one cell
     run.ledger.balance = None
     run.ledger.start(run.t)
     ledger = run.run(3 * DT)

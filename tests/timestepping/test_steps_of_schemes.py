@@ -219,7 +219,7 @@ def test_a_relaxed_run_has_no_numerical_dissipation():
     ledger = run.run(0.1, stops=[0.07])
     remainder = sum(ledger.column(name) for name in NUMERICAL)
     energy = ledger.column("kinetic")[0]
-    # a difference of stored energies of 15 J: five roundings of 15 J
+    # the remainder is a difference of stored energies of 15 J; the bound is five rounding errors of 15 J
     assert np.abs(remainder).max() <= 1e-15 * ledger.column("stored")[0]
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-12
     assert {0.07, 0.1} <= set(ledger.column("time"))

@@ -74,7 +74,7 @@ def markdown(entries: Sequence[tuple[Case, Result]], version: str) -> str:
             lines += [f"*{table.title}*", "", *_markdown_table(table.columns, table.rows)]
         for i, plot in enumerate(result.outcome.plots):
             lines += [f"![{plot.title}]({_picture(case.name, i)})", ""]
-    # all cases: a label's measurement does not depend on the report's choice of cases
+    # all cases are used: the measurement of a label does not depend on the cases in the report
     table = label_table(all_cases())
     lines += [f"## {LABELS}", "", f"{table.title}.", "", *_markdown_table(table.columns, table.rows)]
     return "\n".join(lines)

@@ -97,7 +97,8 @@ def sheared(sharp: bool, cells: int = CELLS, capillary: float = CAPILLARY) -> tu
         refined(2 / cells),
         nv.Model(bodies=(nv.Body(name="fluid", material=fluid(BULK), **both), disc)),
         walls={"top": top, "bottom": bottom},
-        time=nv.TimeSteps(dt=TAU, scheme="midpoint"),  # matter would keep the errors of first Euler steps
+        # with Euler steps at the start, matter would keep their errors
+        time=nv.TimeSteps(dt=TAU, scheme="midpoint"),
         discretisation=nv.Discretisation(k=2, m=1, sharp=sharp),
         initial=nv.Initial(velocity=(y, 0.0)),
         observers=[table],
