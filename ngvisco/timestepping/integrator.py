@@ -17,7 +17,8 @@ energy; then R has B(u, U) in place of B(u_1, U), and ``limiter`` is -E'(U)[u - 
 
 Moving walls.  In prescribed rows of v, m_1 = int rho_1 v_1 . w differs from the combination of the stages'
 momenta.  The difference is an impulse of the wall, which works on the last stage's velocity; this work is
-added to the wall's power.
+added to the wall's power.  Where a moving wall meets an oblique or curved wall, the rows also have an impulse
+of the multipliers.  This impulse does no work, and the wall's power is without it.
 """
 
 import math
@@ -271,17 +272,12 @@ class Integrator:
             limiter_energy += self._limiter_energy_of_momentum(states[-1])
         impulse = self._velocity(keeps_walls=is_stage)
         self.impulse = impulse / tau
-        rows, through_walls = before if is_changed else impulse, 0.0
-        for name, (_, mask) in step.moving_walls.moving.items():
-            v = states[-1].values["v"][mask]
-            rates[f"power_wall_{name}"] += self.rothe.exchange.communicator.dot(rows[mask], v) / tau
-            if is_changed:
-                through_walls -= self.rothe.exchange.communicator.dot((impulse - rows)[mask], v)
-        v = states[-1].values["v"]
-        for name, work in self._velocity.works(rows, v).items():
+        rows = before if is_changed else impulse
+        v, moving = states[-1].values["v"], step.moving_walls.moving
+        for name, work in self._velocity.works(rows, v, moving).items():
             rates[f"power_wall_{name}"] += work / tau
-        if limited:
-            through_walls -= sum(self._velocity.works(impulse - rows, v).values())
+        of_limiter = self._velocity.works(impulse - rows, v, moving) if is_changed else {}
+        through_walls = -sum(of_limiter.values())
         return step.evolved(), limited, {LIMITER: limiter_energy, LIMITER_WALLS: through_walls}
 
     def _limiter_energy_of_momentum(self, stage: Evolved) -> float:

@@ -8,7 +8,7 @@ from ngsolve import CF, x
 from support import EXAMPLES, SWIRL, assert_balanced, swirling
 
 import ngvisco as nv
-from ngvisco.geometries import block_with_hole, box
+from ngvisco.geometries import block_with_hole, box, half_disc
 from ngvisco.timestepping.scheme import TimeScheme
 
 NEO_HOOKEAN = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
@@ -41,11 +41,18 @@ def closes(run, until=0.06, bound=1e-12):
 
 WALLS = {
     "curved slip walls": (lambda: block_with_hole((1, 1), 0.25, 1), {}, nv.Initial(velocity=(0.5, 0.3)), ()),
+    "accelerated wall that meets a curved slip wall": (
+        lambda: half_disc(1, 0.7),
+        {"axis": nv.PrescribedTangential((0.0, nv.time))},
+        nv.Initial(),
+        (),
+    ),
     **support.WALLS,
 }
 WALLS_BY_DEFAULT = (
     ("accelerated rotating wall", "midpoint", "coupled"),
     ("accelerated lid", "sdirk2", "split"),
+    ("accelerated wall that meets a curved slip wall", "midpoint", "coupled"),
     ("traction with friction", "midpoint", "split"),
 )
 """Walls and tractions of the default suite. Their data change in time, because schemes differ in the means

@@ -22,7 +22,7 @@ in which D and the rows of C have length one.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import scipy.sparse as sp
@@ -68,7 +68,7 @@ class WallProjection:
         of_v, multipliers = (np.arange(r.start, r.stop) for r in (space.Range(0), space.Range(1)))
         constraint = csr(form.Assemble().mat)[multipliers][:, of_v].tocsc()
         self.free = free
-        self._constraint, self._prescribed = constraint[:, free].tocsr(), constraint[:, ~free].tocsr()
+        self._constraint, self.prescribed = constraint[:, free].tocsr(), constraint[:, ~free].tocsr()
         multiplier = layout.blocks["wall_stress"]
         self._given = LinearForm(multiplier)
         for piston in term.pistons:
@@ -124,7 +124,7 @@ class WallProjection:
 
     def _normal_velocity(self, v: np.ndarray) -> np.ndarray:
         """Values (v . n, mu) for all coefficients of v, (multipliers,)."""
-        return self._constraint @ v[self.free] + self._prescribed @ v[~self.free]
+        return self._constraint @ v[self.free] + self.prescribed @ v[~self.free]
 
     def completed(self, v: np.ndarray) -> np.ndarray:
         """The free coefficients nearest to those of v with which v satisfies the walls' condition."""
@@ -133,11 +133,14 @@ class WallProjection:
             rows -= self._given.Assemble().vec.FV().NumPy()
         return v[self.free] - self._taken(rows) / self._root
 
-    def works(self, rows: np.ndarray, v: np.ndarray) -> dict[str, float]:
-        """Work of each piston's impulse on v, J, by walls; ``rows`` are the momentum's free rows."""
+    def multipliers(self, rows: np.ndarray) -> np.ndarray:
+        """The multipliers lambda with C^T lambda equal to the free rows of an impulse, (multipliers,)."""
         count, shares = len(self._shared), self._constraint @ (rows / self._root**2)
-        solution = self._solver(np.concatenate([np.zeros(count), shares / self._length]))
-        corrections = solution[count:] / self._length * self._normal_velocity(v)
+        return self._solver(np.concatenate([np.zeros(count), shares / self._length]))[count:] / self._length
+
+    def works(self, multipliers: np.ndarray, v: np.ndarray) -> dict[str, float]:
+        """Work of each piston's multipliers on v, J, by walls."""
+        corrections = multipliers * self._normal_velocity(v)
         return {name: float(corrections[numbers].sum()) for name, numbers in self._of.items()}
 
 
@@ -173,14 +176,22 @@ class VelocityOfMomentum:
         self._dim = layout.mesh.dim
         self._walls = None if term is None else WallProjection(layout, term, quadrature, self.free)
 
-    def works(self, rows: np.ndarray, v: np.ndarray) -> dict[str, float]:
-        """Work, J, of the impulses of pistons with multipliers on the velocity v, by walls; ``rows`` is the
-        result of ``__call__``."""
-        if self._walls is None:
-            return {}
-        ranks = self._exchange.communicator
-        works = self._walls.works(self._exchange.sum(rows)[self.free], v)
-        return {name: float(ranks.total(work)) for name, work in works.items()}
+    def works(
+        self, rows: np.ndarray, v: np.ndarray, moving: Mapping[str, tuple[CoefficientFunction, np.ndarray]]
+    ) -> dict[str, float]:
+        """Works, J, of an impulse of the walls on the velocity v, by walls; ``rows`` is of ``__call__``.
+
+        ``moving`` has the walls that prescribe v with the masks of their coefficients.  The part of the
+        multipliers in the rows of a moving wall is no work of this wall.
+        """
+        ranks, of_pistons = self._exchange.communicator, dict[str, float]()
+        if self._walls is not None:
+            multipliers = self._walls.multipliers(self._exchange.sum(rows)[self.free])
+            of_pistons = self._walls.works(multipliers, v)
+            rows = rows.copy()
+            rows[~self.free] -= self._walls.prescribed.T @ multipliers
+        works = {name: ranks.dot(rows[mask], v[mask]) for name, (_, mask) in moving.items()}
+        return works | {name: float(ranks.total(work)) for name, work in of_pistons.items()}
 
     def functional(self) -> np.ndarray:
         """Functional <m, .> in this rank's cells, (unknowns of v,)."""
