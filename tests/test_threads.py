@@ -15,6 +15,8 @@ from ngvisco import threads
 from ngvisco.solver.newton import CondensedJacobian
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_a_split_step_has_the_same_bits_with_two_threads():
     def state():
         run = small_run(

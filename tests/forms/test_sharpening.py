@@ -536,6 +536,8 @@ def strip_off(scheme, dt=0.0125):
     return np.abs(run.rothe_step.quadrature.each_cell(off)).sum() / 0.2
 
 
+@pytest.mark.long
+@pytest.mark.ci
 @pytest.mark.parametrize("scheme", ["backward-euler", "midpoint", "sdirk2"])
 def test_a_sharp_strip_moves_with_the_flow(scheme, monkeypatch):
     """The exchange between cells has to use the fluxes of all stages. As a control for one scheme, the strip
@@ -687,6 +689,8 @@ def pulled_by_a_film(solver, rows=4, face=0.375):
     return (U - below) / 0.05 * (1 - face) / U, ledger
 
 
+@pytest.mark.long
+@pytest.mark.ci
 @pytest.mark.parametrize("solver", ["split", by_ci("coupled")])
 def test_a_film_bears_the_traction_of_its_thickness(solver, monkeypatch):
     """The traction is right within 5 %, because the layer ends at its face and is not sheared with the film

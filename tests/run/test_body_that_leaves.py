@@ -111,6 +111,8 @@ def _in_front_of_the_wall(length: float) -> tuple[float, float]:
     return run.rothe_step.quadrature.integrate_cells(amount) / whole, run.ledger.column("rho_min").min()
 
 
+@pytest.mark.long
+@pytest.mark.ci
 @pytest.mark.filterwarnings("ignore::ngvisco.SmearedWarning")
 def test_negative_mass_behind_a_body_that_has_left_is_a_ripple_of_transport_and_not_of_the_wall() -> None:
     """With m = 1, means of fractions become negative behind a moving jump; the density stays positive."""
@@ -120,6 +122,8 @@ def test_negative_mass_behind_a_body_that_has_left_is_a_ripple_of_transport_and_
     assert 0.0 < least <= 1.0
 
 
+@pytest.mark.long
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("densities", "options", "off"), [((2, 1, 0.1), {}, 1e-7), ((1, 1, 1), _SHARP, 1e-6)]
 )

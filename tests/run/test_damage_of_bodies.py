@@ -170,6 +170,8 @@ def test_energy_that_bodies_release_by_changing_volumes_as_damage_grows_is_count
     assert grow._held.released() >= 0 and ledger.column("bregman_damage")[-1] > 0
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_a_run_of_breaking_bodies_is_resumed_from_its_checkpoint(tmp_path):
     whole, first = turned(), turned(observers=[nv.Checkpoints(tmp_path / "run.h5")])
     whole.run(0.06)

@@ -286,6 +286,8 @@ def test_a_clamped_body_under_stress_rests_without_warnings():
     assert not ledger.column("passive_unsolved").any()
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_walls_bear_the_torque_of_a_heated_block_that_they_clamp():
     """In a row of cells with one diagonal, jumps of the thermal stress exert a torque of 1e-6.
 

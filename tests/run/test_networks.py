@@ -186,6 +186,8 @@ def stretched(material):
     return run.fields["von_mises"](at), damage
 
 
+@pytest.mark.long
+@pytest.mark.ci
 @pytest.mark.parametrize("small", [by_ci(False, id="by B"), pytest.param(True, id="small strain")])
 def test_named_branches_break_and_the_others_keep_their_stress(small):
     def solid(G):
@@ -242,6 +244,8 @@ WRONG = {
 }
 
 
+@pytest.mark.long
+@pytest.mark.ci
 @pytest.mark.filterwarnings("ignore::ngvisco.DefectWarning")
 def test_a_network_keeps_its_variables_over_meshes_that_follow_a_field():
     """Every branch keeps its tensors and its hardening from one mesh to the next."""

@@ -218,6 +218,8 @@ def test_a_body_whose_outline_touches_itself_is_warned_of_once(slit):
     assert all(re.search(r"body 'e' face each other at a distance of [01]\.\d", text) for text in said)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 @pytest.mark.parametrize("slit", [0.1, 0.45])
 def test_a_body_whose_surface_touches_itself_in_three_dimensions_is_warned_of(slit):
     """The part of the cube below z = 0.7 has a slit of 0.6 or of 2.7 cells."""
@@ -235,6 +237,8 @@ def test_a_body_whose_surface_touches_itself_in_three_dimensions_is_warned_of(sl
     assert all(re.search(r"body 'c' face each other at a distance of [01]\.\d", text) for text in said)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_a_convex_body_and_a_body_at_walls_do_not_touch_themselves():
     elastic = nv.ReferentialNeoHookean(K_e=10.0, G_e=2.0)
     for mesh, where in (

@@ -58,6 +58,8 @@ SETTINGS = {
 }
 
 
+@pytest.mark.long
+@pytest.mark.ci
 @pytest.mark.parametrize("name", others_by_ci(SETTINGS, "about an axis"))
 def test_both_solvers_agree_and_the_ledger_closes_where_bodies_part(name):
     setting = SETTINGS[name]

@@ -66,6 +66,8 @@ def measured(*args, slopes_of=()):
     return dict(zip(names, row, strict=True)), [np.linalg.norm(slopes.of(name)()) for name in slopes_of]
 
 
+@pytest.mark.long
+@pytest.mark.ci
 @pytest.mark.parametrize("moved", [by_ci((6, 0)), (5, 7)])
 def test_an_ellipse_over_the_boundary_has_the_measures_of_one_in_the_middle(moved):
     """A shift by a cell maps the mesh to itself, so that the measures agree to rounding."""
@@ -80,6 +82,8 @@ def test_an_ellipse_over_the_boundary_has_the_measures_of_one_in_the_middle(move
     assert of_over == pytest.approx(slopes, rel=1e-8)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_an_ellipse_is_not_joined_across_the_walls_of_a_channel():
     """Only identified boundaries are crossed: half of the ellipse is outside the wall."""
     over, _ = measured((1.0, 0.5), "x")
@@ -117,6 +121,8 @@ def test_a_layer_is_joined_across_the_periodic_boundaries_that_it_crosses():
     assert row["body_B"] == pytest.approx(4 / 12**0.5 * 0.375, rel=1e-9)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_a_block_across_two_periodic_boundaries_has_one_centroid():
     """The block is cut into four parts by the boundaries of a box."""
     moves = product((-1, 0), (0,), (-1, 0))

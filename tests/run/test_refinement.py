@@ -150,6 +150,8 @@ def test_both_of_two_identified_walls_are_divided_in_the_same_way(size, periodic
     assert_balanced(run.ledger, 1e-11, 1e-13)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_curved_cells_are_divided_and_curved_anew():
     model = nv.Model(material=nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0))
     bump = exp(-20 * ((x - 0.6) ** 2 + y * y))

@@ -27,6 +27,8 @@ def _ring(startup: int, stretch: float = 1.0) -> nv.Simulation:
     )
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_waves_that_alternate_for_ten_steps_warn_once() -> None:
     run = _ring(startup=0)
     with warnings.catch_warnings():
@@ -37,6 +39,8 @@ def test_waves_that_alternate_for_ten_steps_warn_once() -> None:
     assert sum(one.category is nv.RingingWarning for one in said) == 1
 
 
+@pytest.mark.long
+@pytest.mark.ci
 @pytest.mark.parametrize(("startup", "stretch"), [(2, 1.0), (0, 0.0)])
 def test_damped_waves_and_rounding_at_rest_do_not_warn(startup: int, stretch: float) -> None:
     run = _ring(startup, stretch)
@@ -45,6 +49,8 @@ def test_damped_waves_and_rounding_at_rest_do_not_warn(startup: int, stretch: fl
         run.run(2.5)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_a_resolved_vibration_does_not_warn() -> None:
     run = _ring(startup=0).on(annulus(0.5, 1.0, 0.35), dt=0.004, solver="split")
     with warnings.catch_warnings():
@@ -52,6 +58,8 @@ def test_a_resolved_vibration_does_not_warn() -> None:
         run.run(0.08)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 @pytest.mark.parametrize("goes_on", [nv.Simulation.restore, nv.resume_changed])
 def test_a_restored_run_counts_alternating_steps_anew(tmp_path, goes_on) -> None:
     file = tmp_path / "states.h5"

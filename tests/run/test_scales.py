@@ -104,6 +104,8 @@ def test_scales_and_dimensionless_numbers_follow_their_definitions():
     )
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_advice_is_given_where_a_scale_is_not_resolved():
     assert found().advice == []
     (slow,) = found(dt=0.1).advice  # the waves cross the domain along its longer edge
@@ -300,6 +302,8 @@ def of_bodies(*bodies):
     return small_run(0.4, 0.01, bodies=bodies)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_scales_are_the_extremes_over_bodies():
     """The fastest waves are those of the stiff body, however small it is; layers and relaxation are those of
     the other body."""
@@ -358,6 +362,8 @@ def test_a_warning_of_stress_at_rest_names_all_bodies_their_stresses_and_the_rem
         assert part in message
 
 
+@pytest.mark.long
+@pytest.mark.ci
 @pytest.mark.parametrize(
     "drop",
     [

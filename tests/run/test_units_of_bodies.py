@@ -52,6 +52,8 @@ def driven(kind, length=1.0, mass=1.0, time=1.0):
     return np.array([*energies, ledger.column("mass")[-1] / (mass / length)])
 
 
+@pytest.mark.long
+@pytest.mark.ci
 @pytest.mark.parametrize("kind", others_by_ci(KINDS, "parts", "outlines"))
 def test_energies_of_runs_with_bodies_do_not_depend_on_the_units(kind):
     expected = driven(kind)

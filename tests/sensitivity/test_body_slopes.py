@@ -133,6 +133,8 @@ def test_forces_and_stresses_in_three_dimensions_have_derivatives():
     assert (abs(adjoint.jacobian - tangent.jacobian)[:, 0] / sizes).max() < 1e-6
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_an_adjoint_without_one_of_its_parts_is_wrong(monkeypatch):
     """Negative controls: adjoints without the part of the outline's motion, of the velocity inside, of the
     averaged fraction, or of the volume."""

@@ -145,6 +145,8 @@ def test_a_fit_of_unsuitable_parameters_is_refused(options, said):
         nv.fit(creep(), data, **given)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_a_stopped_fit_repeats_no_finished_run(tmp_path):
     """The second call stops within a step of its first run, which is the third run of the search."""
     data, given = data_of(G_e=1.3), {"by": ["material.G_e"], "sigma": 1e-4, "restart": tmp_path}

@@ -76,6 +76,8 @@ def limited(stiffness, scheme="backward-euler", **options):
     return started(model, scheme=scheme, mesh=mesh, initial=initial, **options)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 @pytest.mark.parametrize("scheme", ["backward-euler", "midpoint"])
 def test_tangents_and_adjoints_agree_for_steps_that_the_limiter_changed(scheme):
     """A wall's velocity acts on the end of a step also through the density that the limiter has changed."""

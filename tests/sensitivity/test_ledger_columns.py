@@ -71,6 +71,8 @@ def test_products_of_tangent_and_adjoint_are_equal(scheme, solver):
     assert relative(by_adjoint, by_tangent, of()).max() < 1e-10
 
 
+@pytest.mark.long
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("scheme", "solver"),
     [by_ci("backward-euler", "coupled"), ("backward-euler", "split"), by_ci("midpoint", "coupled")],
@@ -90,6 +92,8 @@ def test_products_of_tangent_and_adjoint_are_equal_for_columns_of_heat(scheme, s
 WIDTHS = (1e-2, 1e-3)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("scheme", "solver"),
     others_by_ci(
@@ -121,6 +125,8 @@ def test_values_equal_those_of_the_run():
             assert total == pytest.approx(column[1:3].sum() + 0.5 * column[3], rel=1e-7, abs=1e-13)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 @pytest.mark.parametrize("scheme", ["midpoint", by_ci("backward-euler")])
 def test_columns_of_energies_without_an_expression_have_derivatives(scheme):
     """Dissipation and defects read values of such an energy at points, and its projection."""

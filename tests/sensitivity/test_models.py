@@ -74,6 +74,8 @@ def test_tangents_and_adjoints_are_limits_of_differences(make, name, value, opti
     assert np.allclose(adjoint, tangent, rtol=3e-6 if make is heated else 1e-6, atol=0)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 @pytest.mark.parametrize("solver", ["coupled", by_ci("split")])
 def test_the_heat_of_the_scheme_has_derivatives_in_spite_of_rounding(solver):
     """The power changes relatively by 7e-5 of the change of the expansion. Rounding of 600 J of heat limits
@@ -109,6 +111,8 @@ def layered(stiffness, **options):
     return started(model, **given | options)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("columns", "options"),
     [
@@ -128,6 +132,8 @@ def test_columns_that_read_the_start_of_a_step_have_derivatives(columns, options
     assert np.allclose(adjoint, tangent, rtol=1e-6, atol=0)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_integrals_of_stresses_have_derivatives_for_an_energy_without_an_expression():
     """Stress and pressure read a projection of the energy's values at points."""
     table = nv.Integrals({"pressed": "pressure*x", "square": "cauchy_stress_11**2"})
@@ -165,6 +171,8 @@ def test_interfaces_without_derivatives_are_refused(discretisation, method, said
         )
 
 
+@pytest.mark.long
+@pytest.mark.ci
 @pytest.mark.parametrize("scheme", [by_ci("backward-euler"), "midpoint"])
 def test_tangents_of_runs_with_sharp_interfaces_equal_differences(scheme):
     """The exchanged amounts and the places of planes depend on the parameters. With constant exchanges,

@@ -81,6 +81,8 @@ def test_a_resumed_gradient_equals_the_uninterrupted_one(tmp_path, method, schem
         assert np.array_equal(third._of_start, whole._of_start)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_a_stop_within_a_step_keeps_the_steps_before_it(tmp_path, monkeypatch):
     """The request comes in the second step's first stage; no part of this step is kept."""
     stopped, stage = run(), Trajectory.stage
@@ -99,6 +101,8 @@ def test_a_stop_within_a_step_keeps_the_steps_before_it(tmp_path, monkeypatch):
     assert same(found(run(), tmp_path, by=BY[:1]), found(run(), None, by=BY[:1]))
 
 
+@pytest.mark.long
+@pytest.mark.ci
 @pytest.mark.parametrize("place", ["restart", None])
 def test_a_gradient_stopped_before_its_first_step_is_kept(tmp_path, monkeypatch, place):
     """The request comes while the derivatives are prepared, and the run does not begin."""
@@ -145,6 +149,8 @@ def folder(tmp_path_factory):
     return place
 
 
+@pytest.mark.long
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -171,6 +177,8 @@ def test_functions_of_a_kept_gradient_are_compared_by_values():
     assert signature(Path("a.stl"), sampler) != signature(Path("b.stl"), sampler)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_a_damaged_folder_and_a_folder_of_other_derivatives_are_refused(tmp_path):
     first = run()
     first.observers.append(StopsAt(2))

@@ -76,6 +76,8 @@ def bodies():
     return (*parts, nv.Body(name="rest", material=fluid, density=1.0))
 
 
+@pytest.mark.long
+@pytest.mark.ci
 @pytest.mark.parametrize("slow", [None, nv.Creep(G_m=1.0, law="conformation"), "bodies"])
 def test_derivatives_of_creep_through_its_stress_equal_derivatives_by_all_components(slow):
     """Rates of the law "conformation" are functions of zeta instead of the stress; rates of bodies also

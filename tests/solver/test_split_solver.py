@@ -197,6 +197,8 @@ def test_two_levels_give_the_solution_of_the_direct_solver(k):
     assert np.linalg.norm(state(two_level) - state(direct)) <= 1e-9 * np.linalg.norm(state(direct))
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_increments_are_solved_only_as_exactly_as_the_iteration_needs(monkeypatch):
     """The last increments take fewer directions. The number of iterations stays, and the solution is as exact
     as required."""
@@ -231,6 +233,8 @@ def systems(run):
     return used
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_the_whole_tangent_is_factorised_if_two_levels_fail():
     """The whole tangent is factorised for the rest of the step if it is small enough. The next step begins
     with two levels again."""

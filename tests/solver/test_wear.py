@@ -1,5 +1,6 @@
 """A tangent is renewed when a new one would have saved as many directions as a renewal costs."""
 
+import pytest
 from support import assert_goes_on, swirling
 
 import ngvisco as nv
@@ -120,6 +121,8 @@ def test_counts_of_directions_are_restored_from_a_checkpoint():
     assert not again.is_dear(1.0)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_a_resumed_run_renews_its_tangent_at_the_same_steps(tmp_path):
     """The steps are so short that one tangent serves several of them."""
     newton = nv.NewtonOptions(split=SplitOptions(renewed_after=1))

@@ -58,12 +58,16 @@ BY_MATERIAL = [
 ]
 
 
+@pytest.mark.long
+@pytest.mark.ci
 @pytest.mark.parametrize(("scheme", "name"), BY_MATERIAL)
 def test_runs_are_of_second_order_for_every_material(scheme, name):
     found = in_time(scheme, STIFFER.get(name, 0.02), material=EXAMPLES[name])
     assert min(found.values()) >= 1.9, found
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_backward_euler_is_of_first_order():
     found = in_time("backward-euler", 0.04, (4, 8, 16))
     assert max(found.values()) <= 1.2 and min(found.values()) >= 0.75, found

@@ -183,6 +183,8 @@ def shear_modes(scheme, startup=0):
     return run.run(10.0).column("kinetic")
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_sdirk2_damps_stiff_viscous_modes_and_midpoint_does_not():
     midpoint, sdirk2, euler, started = (
         shear_modes(*how) for how in (("midpoint",), ("sdirk2",), ("backward-euler",), ("midpoint", 2))
@@ -326,6 +328,8 @@ def test_the_speed_of_waves_is_that_of_the_start_after_a_restart_and_that_of_the
     assert target.wave_speed == pytest.approx(fastest_wave(run.rothe_step, run.sampler), rel=1e-6)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 @pytest.mark.parametrize("scheme", ["backward-euler", "midpoint"])
 def test_strains_that_stay_zero_do_not_shorten_the_steps_of_a_slow_flow(scheme):
     """In slow shear of a mantle J stays 1 to rounding, and rounding has no relative error."""
