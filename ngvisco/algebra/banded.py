@@ -24,8 +24,7 @@ class Band:
         matrix = matrix.tocsr()
         count = matrix.shape[0]
         self._order = reverse_cuthill_mckee(matrix, symmetric_mode=True)
-        rank = np.empty_like(self._order)
-        rank[self._order] = np.arange(count, dtype=rank.dtype)
+        rank = np.argsort(self._order)
         rows, columns = rank[np.repeat(np.arange(count), np.diff(matrix.indptr))], rank[matrix.indices]
         is_read = rows >= columns
         self._column, self._below = columns[is_read], (rows - columns)[is_read]

@@ -47,10 +47,8 @@ class FacetCoupling:
         The default of ``tests`` is the basis of the side's cell.
         """
         count = self.cells * self.sides
-        parts = (
-            values.reshape(len(values), count, self.per_side).transpose(1, 2, 0) * self._weights[..., None]
-        )
-        rows = (self._z if tests is None else tests).loads(parts)
+        parts = values.reshape(len(values), count, self.per_side).transpose(1, 2, 0)
+        rows = (self._z if tests is None else tests).loads(parts * self._weights[..., None])
         return rows.transpose(0, 2, 1).reshape(count, len(values) * rows.shape[1])
 
     def beyond(self, blocks: np.ndarray) -> np.ndarray:

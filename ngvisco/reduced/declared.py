@@ -147,10 +147,8 @@ def _rows_at_points(step: Step, term: PointTerm) -> TermRows:
     try:
         rows = OnePoint(step).rows(term)
     except NotAtPointsError as error:
-        reason = (
-            f"{error}; if the term has rows of v alone, declare couples = 'flow', so that its form is used"
-        )
-        raise _refused(term, reason) from error
+        how = f"{error}; if the term has rows of v alone, declare couples = 'flow', so that its form is used"
+        raise _refused(term, how) from error
     names = in_cells(step.layout)
     if unknown := set(rows.names) - {*names, *(f"grad {name}" for name in names)}:
         rows_of = f"the rows of {', '.join(sorted(unknown))}"

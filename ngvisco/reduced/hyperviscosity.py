@@ -39,9 +39,10 @@ from ngvisco.reduced.point_fields import FACETS, Lazy
 class SideJumps:
     """The penalty's arguments at the sides' points of one rule: the jumps j = a - d_n v, h, |Hs|^2 and z."""
 
-    def __init__(
-        self, hyper: MatrixHyperviscosity, op: PointOperators, other: SideJumps | None = None
-    ) -> None:
+    jump: LocalMatrix
+    """The matrix from (v, a), side by side, to j."""
+
+    def __init__(self, hyper: MatrixHyperviscosity, op: PointOperators, other: SideJumps | None) -> None:
         """``other`` are the jumps at the points of another rule.
 
         ``other`` also provides the nodes, if the values at this rule's points follow from the values at those
@@ -49,12 +50,8 @@ class SideJumps:
         """
         matrix = op.points.operator(hyper.component, lambda u: hyper.fields_of(u).jump[0])
         shared = None if other is None else other.jump
-        self.jump: LocalMatrix = LocalMatrix(
-            matrix, hyper.step.mesh.ne, op.weights, pieces=op.pieces, other=shared
-        )
-        """The matrix from (v, a), side by side, to j."""
-        self.op, self._context = op, hyper.step.context
-        self.weights = op.weights
+        self.jump = LocalMatrix(matrix, hyper.step.mesh.ne, op.weights, pieces=op.pieces, other=shared)
+        self.op, self.weights, self._context = op, op.weights, hyper.step.context
         if not hyper.law.is_linear:
             self.scalar = op.of("hess_square")
 
@@ -108,7 +105,7 @@ class MatrixHyperviscosity:
         self.component = FESpace([velocity, layout.scalar_space(layout.names_of("normals")[0])])
         """The space of (v_i, a_i); lifting and jump are the same linear functions for every component i."""
         self._lifting()
-        self.sides = SideJumps(self, sides)
+        self.sides = SideJumps(self, sides, None)
         if not self.law.is_linear:
             self.s_values = self.op.of("hess_square")
             self.s_inverse = inverse_of_blocks(mass_matrix(self.s_values.matrix, self.op.weights))

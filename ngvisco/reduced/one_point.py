@@ -106,10 +106,8 @@ class OnePoint:
             "rates": step.tabulated_rates,
             "terms": step.terms,
         }
-        slopes = step.context.recovered_slopes
-        inside = SimpleNamespace(
-            momentum_old=datum(d), average=data["given"], recovered_slopes=slopes, **data
-        )
+        slope = step.context.recovered_slopes
+        inside = SimpleNamespace(momentum_old=datum(d), average=data["given"], recovered_slopes=slope, **data)
         evolving = set(layout.evolving).intersection(self._shapes)
         inside.old = fields(inside, (evolving, evolving), CELLS, old=True)
         one = Array(np.ones(1), None)

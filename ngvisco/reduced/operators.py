@@ -60,12 +60,10 @@ class PointOperators:
         elif key not in self._made:
             space, points = self.layout.scalar_space(name), self.points
             matrices = points.gradients(space) if slopes else [points.values(space)]
-            other_matrices = (
-                [None] * len(matrices) if self._other is None else self._other._matrices(name, slopes)
-            )
+            others = [None] * len(matrices) if self._other is None else self._other._matrices(name, slopes)
             self._made[key] = [
                 LocalMatrix(matrix, points.mesh.ne, self.weights, pieces=self.pieces, other=other)
-                for matrix, other in zip(matrices, other_matrices, strict=True)
+                for matrix, other in zip(matrices, others, strict=True)
             ]
         return self._made[key]
 

@@ -155,13 +155,11 @@ class ReducedResidual:
         """Terms that are integrated by a collocated rule: one point per coefficient of a field."""
         if couplings.collocated():
             rates = LinearisedTabulatedRates(self.rates, step.stresses)
-            self.collocated_terms = CellTerms(
-                step, Operators(step, step.quadrature.collocation_order), rates, "collocated"
-            )
+            operators = Operators(step, step.quadrature.collocation_order)
+            self.collocated_terms = CellTerms(step, operators, rates, "collocated")
         self.inverse_mass = inverse_of_blocks(mass_matrix(self.op.z.matrix, self.op.weights))
-        self.by_forms = (
-            RestrictedForm(step, u.velocity_block, couplings.by_forms) if couplings.by_forms else None
-        )
+        forms = couplings.by_forms
+        self.by_forms = RestrictedForm(step, u.velocity_block, forms) if forms else None
         self.density = RestrictedForm(step, u.density, couplings.density) if couplings.density else None
         self._density_of_all: RestrictedForm | None = None
         self._of_forms: list[tuple[slice, sp.csr_matrix, np.ndarray]] = []

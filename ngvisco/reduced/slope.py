@@ -129,12 +129,10 @@ class PointwiseSlope:
     def _answer(self, z_values: np.ndarray) -> Response:
         """The material's own response with lagged variables; it is kept until z or the lagged values
         change."""
-        z, seen = z_values.T, self._seen(z_values).T
-        if self._kept is None or not (
-            np.array_equal(self._kept[0], z) and np.array_equal(self._kept[1], seen)
-        ):
-            self._kept = z.copy(), seen.copy(), self.response(z, seen)
-        return self._kept[2]
+        z, seen, kept = z_values.T, self._seen(z_values).T, self._kept
+        if kept is None or not (np.array_equal(kept[0], z) and np.array_equal(kept[1], seen)):
+            kept = self._kept = z.copy(), seen.copy(), self.response(z, seen)
+        return kept[2]
 
     def _seen(self, z_values: np.ndarray) -> np.ndarray:
         """z with the old values of lagged variables, for the conjugates of variables that do not lag."""

@@ -168,7 +168,7 @@ def floor(run: nv.Simulation, method: str) -> float:
         at = newton.residual(newton.unknowns.pack())
         began = time.perf_counter()
         newton.preconditioner.update(at)
-        newton.preconditioner.solver(at.residual[: newton.preconditioner.operator.size])
+        newton.preconditioner._block(at.residual[: newton.preconditioner._size])
         return time.perf_counter() - began
 
 

@@ -18,6 +18,7 @@ from ngvisco.solver.options import SplitOptions
 from ngvisco.solver.problem import Status
 from ngvisco.solver.rothe import Interval
 from ngvisco.solver.split import solver as split_solver
+from ngvisco.solver.split.hyperviscosity import hyper_matrix
 from ngvisco.solver.split.solver import Split
 from ngvisco.solver.split.transport import LEAST
 
@@ -76,6 +77,31 @@ def test_the_derivative_of_the_hyperviscosity_equals_differences_of_its_rows(k, 
     quotient = (rows[0] - rows[1]) / 2e-6
     bound = 1e-4 if p == 3.5 else 1e-8  # a rule of degree 4 is right for (P_1 jumps)^4
     assert np.linalg.norm(quotient - expected) <= bound * np.linalg.norm(quotient)
+    # the tangent of small meshes has the same derivative as a matrix
+    product = hyper_matrix(derivative, dv.size)() @ np.concatenate([dv.ravel(), da.ravel()])
+    of_v, of_a = np.split(expected, [dv.shape[1]], axis=1)
+    both = np.concatenate([of_v.ravel(), of_a.ravel()])
+    assert np.linalg.norm(product - both) <= 1e-12 * np.linalg.norm(both)
+
+
+def test_normal_derivatives_in_the_tangent_save_directions(monkeypatch):
+    counts = []
+    for most in (4_000, 0):
+        monkeypatch.setattr("ngvisco.solver.split.preconditioner.JOINED", most)
+        run = simulation(maxh=0.2)
+        solver, directions = run.solver.newton.preconditioner, []
+        solve = solver._flow
+
+        def counted(*arguments, solver=solver, solve=solve, directions=directions):
+            result = solve(*arguments)
+            directions.append(solver.iterations)
+            return result
+
+        solver._flow = counted
+        for _ in range(3):
+            run.advance()
+        counts.append(sum(directions))
+    assert counts[0] <= 0.75 * counts[1]
 
 
 @pytest.mark.long

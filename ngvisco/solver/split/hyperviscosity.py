@@ -3,9 +3,11 @@
 The unknowns a are the normal derivatives of v on facets. In a cell the law depends on x = (v, a) through B x:
 the coefficients of Hs, and the jumps at the sides' points. One small dense product gives B x for all
 components of v, (cells, dim, rows).  Arrays have the points last, so that sums run at the speed of memory.
-The rows of (v, a) are B^T times the law's derivative by B x. The velocity tangent eliminates the unknowns a,
-except on facets between ranks. On these facets each rank has one side, and the unknowns a are kept, so that
-the matrix is a sum over the ranks' cells.
+The rows of (v, a) are B^T times the law's derivative by B x.
+
+On small meshes in 2D, the velocity tangent contains the whole derivative (``hyper_matrix``). On other meshes
+(``HyperTangent``), it eliminates the unknowns a, except on facets between ranks. On these facets each rank
+has one side, and the unknowns a are kept, so that the matrix is a sum over the ranks' cells.
 
 The derivative is written by hand, since complex increments of the rows take 3 to 5 times as long
 (``tests/benchmarks/kernels.py``). ``tests/solver/test_split_solver.py`` compares the derivative with the
@@ -14,6 +16,7 @@ rows.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -109,24 +112,36 @@ class HyperDerivative:
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """The rows' derivative in the direction x = (v, a) side by side, (dim, unknowns)."""
-        length, h = largest(x), self.hyper
-        split, rows = h.lift.per_cell, (self.cells, h.dim * h.size)
-        values = self.of_component.by_cells(x.T / length)
+        length = largest(x)
+        loads = self._loads(self.of_component.by_cells(x.T / length))
+        return np.float64(self._unit * length) * self.of_component.tested(loads).T
+
+    def elements(self) -> np.ndarray:
+        """The derivative as element matrices, (cells, dim local, dim local). A cell's unknowns (v, a) are
+        ordered by components and then functions."""
+        nodal, d = self.of_component.nodal, self.hyper.dim
+        along = np.eye(d, dtype=self.dtype)[:, None, None, :, None] * nodal.swapaxes(0, 1)[:, :, None]
+        columns = np.matmul(self._loads(along), nodal.swapaxes(1, 2))  # (dim, local, cells, dim, local)
+        return self._unit * columns.reshape(-1, self.cells, d * nodal.shape[1]).swapaxes(0, 1).astype(float)
+
+    def _loads(self, values: np.ndarray) -> np.ndarray:
+        """The law's derivative by B x in the direction ``values``, both (..., cells, dim, rows)."""
+        h, split = self.hyper, self.hyper.lift.per_cell
         dj = self.sides.jump.from_nodes(values[..., split:])
-        dH = self._at_points(values[..., :split].reshape(*rows, h.h_values.local))
+        lifted = values[..., :split].reshape(*values.shape[:-2], h.dim * h.size, h.h_values.local)
+        dH = self._at_points(lifted)
         of_H, of_j = self._c * dH, self._penalty * dj
         if not h.law.is_linear:
             self._bend(dH, dj, of_H, of_j)
-        tested = self._at_points.tested(of_H).reshape(self.cells, h.dim, split)
-        loads = np.concatenate([tested, self.sides.jump.to_nodes(of_j)], axis=2)
-        return np.float64(self._unit * length) * self.of_component.tested(loads).T
+        tested = self._at_points.tested(of_H).reshape(*values.shape[:-1], split)
+        return np.concatenate([tested, self.sides.jump.to_nodes(of_j)], axis=-1)
 
     def _bend(self, dH: np.ndarray, dj: np.ndarray, of_H: np.ndarray, of_j: np.ndarray) -> None:
         """Add to the loads of Hs and j the contributions of changes of s = P |Hs|^2 and q = |j|^2."""
         at_points, at_sides = self._s_points, self._s_sides
         w = self._shares
-        dq = 2 * np.einsum("cip,cip->cp", self._j, dj)[:, None]
-        tested = 2 * w * np.einsum("cip,cip->cp", self._hessian, dH)[:, None]
+        dq = 2 * np.einsum("cip,...cip->...cp", self._j, dj)[..., None, :]
+        tested = 2 * w * np.einsum("cip,...cip->...cp", self._hessian, dH)[..., None, :]
         ds = np.matmul(at_points.tested(tested), self._s_inverse)
         ds_sides = at_sides(ds)
         of_j += (self._sq * ds_sides + self._qq * dq) * self._j
@@ -171,12 +186,13 @@ class _Interpolated:
         self._blocks = None if blocks.shape[2] == 1 and (blocks == 1.0).all() else precision.single(blocks)
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
-        """Coefficients (cells, n, functions) to values (cells, n, points), or (cells, n, 1) if constant."""
+        """Coefficients (..., cells, n, functions) to values (..., cells, n, points), or (..., cells, n, 1) if
+        constant."""
         return x if self._blocks is None else np.matmul(x, self._blocks.swapaxes(1, 2))
 
     def tested(self, values: np.ndarray) -> np.ndarray:
-        """Values (cells, n, points) to sums (cells, n, functions)."""
-        return values.sum(axis=2, keepdims=True) if self._blocks is None else np.matmul(values, self._blocks)
+        """Values (..., cells, n, points) to sums (..., cells, n, functions)."""
+        return values.sum(axis=-1, keepdims=True) if self._blocks is None else np.matmul(values, self._blocks)
 
 
 class HyperTangent:
@@ -188,9 +204,7 @@ class HyperTangent:
         values, h = derivative.of_component, derivative.hyper
         others = np.setdiff1d(np.arange(values.width - h.velocities), kept)
         self.eliminated = others if len(kept) else slice(None)
-        order = np.concatenate([np.arange(h.velocities), h.velocities + kept, h.velocities + others])
-        number = np.empty_like(order)
-        number[order] = np.arange(len(order))
+        number = np.argsort(np.concatenate([np.arange(h.velocities), h.velocities + np.r_[kept, others]]))
         self._assembled = ElementAssembly(number[values.unknowns], values.width)
         self._lifted, self._jump = np.split(values.blocks, [h.lift.per_cell], axis=1)
         pattern = squared(abs(self._jump), None, np.ones(self._jump.shape[:2]))
@@ -246,3 +260,14 @@ class HyperTangent:
         right = sp.vstack([sp.kron(identity, tangent[:width, width:]), sp.csr_matrix((beside, count))])
         below = sp.hstack([sp.kron(identity, tangent[width:, :width]), sp.csr_matrix((count, beside))])
         return sp.bmat([[matrix, right], [below, sp.kron(identity, tangent[width:, width:])]], format="csr")
+
+
+def hyper_matrix(derivative: HyperDerivative, count: int) -> Callable[[], sp.csr_matrix]:
+    """A function that returns the derivative, at the values of its last update, as a matrix of the flow's
+    unknowns and the normal derivatives a; the first ``count`` unknowns are the flow's, beginning with v."""
+    values, dim, velocities = derivative.of_component, derivative.hyper.dim, derivative.hyper.velocities
+    of_v, of_a = np.arange(dim * velocities), np.arange(count, count + dim * (values.width - velocities))
+    number = np.concatenate([of_v.reshape(dim, -1), of_a.reshape(dim, -1)], axis=1)
+    unknowns = np.concatenate([of_component[values.unknowns] for of_component in number], axis=1)
+    assembled = ElementAssembly(unknowns, count + of_a.size)
+    return lambda: assembled(derivative.elements())

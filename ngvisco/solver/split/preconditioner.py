@@ -21,7 +21,7 @@ import scipy.sparse as sp
 from ngvisco.algebra import precision
 from ngvisco.algebra.factorised import Direct, TwoLevelSolver, direct_solver
 from ngvisco.algebra.krylov import Operator, gmres
-from ngvisco.algebra.sparse import apply
+from ngvisco.algebra.sparse import apply, widened
 from ngvisco.errors import InputWarning, StepError
 from ngvisco.forms.mesh.mesh_arrays import mask_of, rigid_motions
 from ngvisco.parallel.petsc import SumInverse
@@ -29,7 +29,7 @@ from ngvisco.reduced.operators import Operators
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.split.flow_operator import FlowSchurComplement
-from ngvisco.solver.split.hyperviscosity import HyperDerivative, HyperTangent
+from ngvisco.solver.split.hyperviscosity import HyperDerivative, HyperTangent, hyper_matrix
 from ngvisco.solver.split.point_tangent import PointTangent
 from ngvisco.solver.split.transport import TransportSweeps
 
@@ -40,6 +40,9 @@ ENOUGH, ENOUGH_WHERE_STEEP = 0.15, 0.05
 about the same factor. The second value is for steep flow rules, which are local and not linear."""
 _LINEAR = 1e-3
 """Tolerance of the flow's linear system above which GMRES directions are in single precision."""
+JOINED = 4_000
+"""Largest number of unknowns (v, a) in 2D with which the tangent has the hyperviscosity's whole derivative,
+and is factorised with the normal derivatives a as unknowns."""
 _IN_WORDS = {"wall_stress": "stresses of oblique or curved walls", "Pi": "a creep rate field"}
 
 
@@ -116,7 +119,7 @@ class Preconditioner:
     """
 
     def __init__(self, residual: ReducedResidual, options: NewtonOptions) -> None:
-        step, unknowns = residual.step, residual.unknowns
+        step, unknowns, hyper = residual.step, residual.unknowns, residual.hyper
         self.unknowns, self.options, self.dim = unknowns, options.split, step.mesh.dim
         self._coarse = options.coarse
         self.without_multigrid: str | None = None
@@ -129,12 +132,10 @@ class Preconditioner:
         varies = len(step.model.bodies) > 1
         # on triangles and without hyperviscosity, a rule of degree 2 (k - 1) misses a part of convection: at
         # a Courant number of 0.2 a step takes 16 iterations and seven operators instead of 9 and one
-        least = k if self.dim == 2 and residual.hyper is None else k - 1
+        least = k if self.dim == 2 and hyper is None else k - 1
         self.op = residual.op if bends or varies else Operators(step, max(least, m), residual.op)
         self.sweep = TransportSweeps(residual)
-        derivative = (
-            None if residual.hyper is None else HyperDerivative(residual.hyper, self.options.penalty_degree)
-        )
+        derivative = None if hyper is None else HyperDerivative(hyper, self.options.penalty_degree)
         tangent = PointTangent(residual, self.op)
         self._relaxes = tangent.collocated is not None
         self.operator = FlowSchurComplement(residual, tangent, self.sweep, derivative)
@@ -146,17 +147,22 @@ class Preconditioner:
         self._of_velocity = self.exchange.part(np.arange(self.op.v.width))
         places = np.arange(count)
         self.hyper_tangent: HyperTangent | None = None
-        if derivative is not None:
+        self._hyper_matrix: Callable[[], sp.csr_matrix] | None = None
+        """The hyperviscosity's part of a tangent of (v, a), on small meshes in place of ``hyper_tangent``."""
+        names, is_alone = unknowns.velocity_block, not self.exchange.is_distributed
+        is_small = self.dim == 2 and self._size <= JOINED and count <= self.options.direct_up_to[0]
+        if derivative is not None and is_small and is_alone and names == ["v"]:
+            self._hyper_matrix, places = hyper_matrix(derivative, count), np.arange(self._size)
+            names = [*names, *unknowns.normals]
+        elif derivative is not None:
             normals = np.arange(count, self._size).reshape(self.dim, -1)
             kept = self.exchange.part(normals[0]).places
             places = np.concatenate([places, normals[:, kept].ravel()])
             self.hyper_tangent = HyperTangent(derivative, kept)
         self._of_tangent = self.exchange.part(places)
         """Exchanges the tangent's unknowns: the flow's unknowns, and the normal derivatives on facets between
-        ranks."""
-        self.free = np.concatenate(
-            [mask_of(step.layout.blocks[name].FreeDofs()) for name in unknowns.velocity_block]
-        )
+        ranks, or on all facets of a small mesh."""
+        self.free = np.concatenate([mask_of(step.layout.blocks[name].FreeDofs()) for name in names])
         self._held = np.flatnonzero(~self.free)
         self._whole: Callable[[], Direct] | None = None
         """Makes a solver that factorises the whole tangent in place of two levels.
@@ -164,9 +170,9 @@ class Preconditioner:
         It is None if the solver has no two levels, or if the unknowns are too many for a factorisation.
         """
         self._two_levels: Direct | None = None
-        self.solver = self._solver(np.append(self.free, np.ones(len(places) - count, dtype=bool)))
+        self.solver = self._solver(np.append(self.free, np.ones(len(places) - len(self.free), dtype=bool)))
         self._blocks = [unknowns.slices[name] for name in unknowns.velocity_block]
-        if residual.hyper is not None:
+        if hyper is not None:
             self._blocks.append(unknowns.normal_slice)
         self._lengths = [self.exchange.length(where) for where in self._blocks]
         self.iterations = 0
@@ -192,10 +198,8 @@ class Preconditioner:
         beside_v = (number >= operator.nv) & (number < operator.size)
         vertices = (number < operator.nv) & (number % width < mesh.nv)
         if self.ranks.any(beside_v.any()):
-            unknowns = " and ".join(
-                _IN_WORDS.get(name, name) for name in self.unknowns.velocity_block if name != "v"
-            )
-            self.without_multigrid = f"the matrix with {unknowns} in addition to v is not positive definite"
+            others = " and ".join(_IN_WORDS.get(name, name) for name in self.unknowns.velocity_block[1:])
+            self.without_multigrid = f"the matrix with {others} in addition to v is not positive definite"
         self._multigrid = self._coarse != "direct" and self.without_multigrid is None
         self._kernel = rigid_motions(mesh, width, len(free)) if self._multigrid else None
         return TwoLevelSolver(free, vertices, beside_v, self._factorised, exchange)
@@ -243,7 +247,10 @@ class Preconditioner:
         # two levels without PETSc work in single precision, all other solvers in double precision
         rounds = isinstance(self.solver, TwoLevelSolver) and not self.exchange.is_distributed
         kind = precision.SINGLE if rounds and not self._multigrid else np.float64
-        self.solver.factorise(self.operator.tangent(at, self.hyper_tangent, kind))
+        matrix = self.operator.tangent(at, self.hyper_tangent, kind)
+        if self._hyper_matrix is not None:
+            matrix = widened(matrix, self._size, self._size) + self._hyper_matrix()
+        self.solver.factorise(matrix)
 
     def linearise(self, at: Evaluation, everything: bool) -> None:
         """Linearise the operator at an evaluation.
@@ -312,12 +319,12 @@ class Preconditioner:
     def _block(self, y: np.ndarray) -> np.ndarray:
         """Apply the inverse of the velocity tangent to rows ``y`` of the flow and of the normal derivatives.
 
-        Only the normal derivatives on facets between ranks are unknowns of the tangent. All others follow
-        from the velocity and their own rows.
+        With ``hyper_tangent``, only the normal derivatives on facets between ranks are unknowns of the
+        tangent. All others follow from the velocity and their own rows.
         """
         tangent, dim, (rows, a) = self.hyper_tangent, self.dim, np.split(y, [len(self.free)])
         if tangent is None:
-            return self.solver(rows)
+            return self.solver(y)
         a, size, result = a.reshape(dim, -1), self.operator.nv, np.empty_like(y)
         kept, eliminated = a[:, tangent.kept], a[:, tangent.eliminated]
         rows = np.append(rows, kept)
