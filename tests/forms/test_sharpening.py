@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ngsolve import CF, IfPos, sin, x, y
+from ngsolve import CF, H1, GridFunction, IfPos, LinearForm, dx, grad, sin, x, y
 
 import ngvisco as nv
 from ngvisco.forms import sharpening
@@ -704,6 +704,38 @@ def test_a_film_bears_the_traction_of_its_thickness(solver, monkeypatch):
         monkeypatch.setattr(Fractions, "behind_planes", Fractions.taking_part)
         monkeypatch.setattr(Mixture, "films", lambda mixture, name: None)
         assert pulled_by_a_film(solver)[0] > 1.07
+
+
+def test_a_flat_stressed_face_is_in_balance_if_the_stress_has_the_moments_of_the_bodys_part():
+    """The force of a stress S along y in the part x > 0.35 on velocities of order 2, over S times the cells'
+    size: zero for the part's P_1 projection as the stress' weight, and not zero for the weight chi theta."""
+    mesh, face, size = structured_box((1, 0.2), (10, 2)), 0.35, 0.1
+    solid = nv.Body(name="solid", where=x - face, material=LINEAR, density=1.0)
+    both = [nv.Body(name="fluid", material=FLUID, density=1.0), solid]
+    step = Step(mesh, nv.Model(bodies=both), SHARP)
+    sampler = Sampler(mesh, step.quadrature)
+    set_initial(step, nv.Initial(), sampler)
+    by = Bounds(step, sampler).sharpening
+    by.begin()
+    by.put_apart(0.01)
+    z, height = step.now.z_tensors, by._x[:, :, 0] - face
+    above = share_above(height)[:, None]
+    doubled = [share_above(np.insert(height, c, height[:, c], axis=1)) for c in range(3)]
+    part = GridFunction(step.layout.scalar_space("z"))
+    corners = above + 4 * (np.stack(doubled, axis=1) - above)
+    part.vec.FV().NumPy()[by._basis] = np.einsum("kfc,kc->kf", by._inverse, corners)
+    fractions = Fractions(("fluid", "solid"))
+    weight = fractions.behind_planes(z)["solid"] * fractions.at(z)["solid"]
+
+    def force(share):
+        space = H1(mesh, order=2, dirichlet="top|bottom")
+        form = LinearForm(space)
+        form += share * grad(space.TestFunction())[1] * dx(bonus_intorder=8)
+        return np.abs(form.Assemble().vec.FV().NumPy()[list(space.FreeDofs())]).max() / size
+
+    assert force(part) < 1e-11
+    assert 0.015 < force(fractions.at(z)["solid"]) < 0.03  # the projection, scaled into [0, 1]
+    assert 0.025 < force(weight) < 0.05
 
 
 def test_a_thin_film_bears_no_more_than_its_stress():
