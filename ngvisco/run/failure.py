@@ -202,7 +202,7 @@ def _advice(simulation: RunState, violation: Violation | None, courant: float, r
         if creep is not None and is_sharp and creep.rate_floor < _SHARP * rate:
             floor = f"rheology.creep.rate_floor from {creep.rate_floor:.3g}/s to a thousandth of the rates of"
             lines.insert(0, f"{floor} creep; the largest |v|/h is {rate:.2g}/s")
-        return [*lines, "a larger viscosity, or loads and walls that change over several steps"]
+        return [*lines, "a larger viscosity, a smoother start, or loads and walls that change slowly"]
     near = "there" if violation.wall is None else f"near {violation.wall!r}"
     lines.append(
         f"a finer mesh {near}, or data that are smooth there (as equal velocities of walls that meet)"
