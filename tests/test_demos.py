@@ -111,7 +111,7 @@ def test_the_soft_spot_demo_finds_the_spot_below_the_stations(tmp_path):
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_the_sensitivity_demo_has_densities_of_derivatives_of_the_energy(tmp_path):
+def test_integrals_of_the_sensitivity_demo_s_densities_are_derivatives_of_the_energy(tmp_path):
     demo = load("swirl_sensitivity")
     found = demo.main(str(tmp_path), until=0.04, maxh=0.6)
     number = "kinetic at 0.04"

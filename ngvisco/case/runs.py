@@ -125,7 +125,7 @@ def resume(
 
     def prepare() -> None:
         place.require_checkpoints()
-        # without this file, which is written last, the run was killed before it began
+        # this file is written last: without it, the run was killed before the directory was complete
         if not place.versions_file.exists():
             place.prepare(case, mesh_image(case.mesh()))
 

@@ -96,7 +96,7 @@ class Section(BaseModel):
 
 
 def check_once(names: list[str]) -> list[str]:
-    """The names; raises ValueError if one is there twice."""
+    """The names; raises ValueError if a name occurs twice."""
     if len(set(names)) < len(names):
         raise ValueError("expected each name once")
     return names

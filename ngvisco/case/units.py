@@ -142,7 +142,9 @@ class Converter:
         return result
 
     def number(self, text: str, unit: str) -> float:
-        """The number in the SI unit ``unit`` of a text: a number in the case's units, or with its own.
+        """Convert a text to a number in the SI unit ``unit``.
+
+        The text is a number in the case's units, or a number with a unit.
 
         Raises UnitError.
         """

@@ -114,10 +114,10 @@ class RecoveredSlope:
 class VertexSlope:
     """Slope of a function by means at vertices; a mean is over the cells at the vertex.
 
-    The function may be constant in cells. Its means then define a continuous function, linear in simplices,
-    whose slope is the result.  With ``of_slope`` the given function is a slope. Its means define the result
-    itself, which is continuous and linear in simplices.  The normal of a curved interface then varies in a
-    cell.
+    The function may be constant in cells. The means define a continuous function, linear in simplices, and
+    the result is the slope of this continuous function.  With ``of_slope`` the given function is a slope. The
+    means then define the result itself, which is continuous and linear in simplices.  The normal of a curved
+    interface then varies in a cell.
     """
 
     def __init__(self, mesh: Mesh, value: CoefficientFunction, periodic: bool, of_slope: bool) -> None:

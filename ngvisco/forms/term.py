@@ -133,8 +133,8 @@ class PointTerm:
         Whether the rows of v contain the density, which is a function of z if there are bodies.  The tangent
         by increments then has the derivative of these rows by z, also if the term is not ``linearised``.
     plane_only : str or None
-        Reason why a body of revolution cannot have the term; None if it can, because ``L`` has all that the
-        term reads.
+        Reason why a body of revolution cannot have the term; None if the term reads no gradient of a vector
+        or tensor but ``L``.
     """
 
     linearised = True

@@ -19,8 +19,8 @@ The energy of its cracks has the weight w: where the body is absent, d_i changes
 
 For given damages phi is convex in the densities, but the minimum over alpha_i is not convex in d_i. Therefore
 all conjugates have the volumes alpha_i that belong to the damages at the step's start (``Material.lagged``),
-and d_i grows with held volumes. For given volumes phi is convex in (d_i, q_i), and the minimum over the
-volumes is not larger: both Bregman distances are >= 0.
+and d_i grows with held volumes. For given volumes phi is convex in (d_i, q_i), and at least its minimum
+over the volumes. Therefore the Bregman distances by the densities and by (d_i, q_i) are >= 0.
 
 Body i has the spin W, the strain rate chi_i D and the creep rate chi_i Pi_i.  The body's fraction determines
 chi_i (``taking_part``): where the fraction is <= 0, chi_i is 0, and tensors of the body turn, but neither
@@ -301,8 +301,8 @@ class Mixture(Material):
         return self.fractions.behind_planes if self.are_apart else self.fractions.taking_part
 
     def films(self, name: str) -> Films | None:
-        """The creep rate of a body in cells that it shares with films of fluid. None if the bodies of a cell
-        are mixed and not apart, or if bodies part."""
+        """The creep rate of a body in cells that it shares with films of fluid. None if ``are_apart`` is
+        False, or if there is a law ``parting``."""
         if not self.are_apart or self.parting is not None:
             return None
         fluids = [b for b in self.bodies if not self.energies[b.name].tensors]

@@ -35,7 +35,7 @@ _CUTS = {
     3: (((0, 3), (1, 3), (2, 3)), [(0, 1, 2)]),
 }
 """Cut edges of a tetrahedron, and triangles of the section, by the number of the tetrahedron's points above
-the plane; points above the plane come first."""
+the plane. The points above the plane have the lowest numbers."""
 _SAME = 1e-9  # share of the points' extent; points that are closer than this are one
 _FLAT = 1e-6  # share of the largest triangle's area; a smaller triangle is a corner or an edge
 _HALVINGS = 2  # number of halvings of the triangles in which a line is drawn

@@ -101,7 +101,7 @@ class Periods:
         return result
 
     def folded(self, points: np.ndarray, domain: np.ndarray) -> np.ndarray:
-        """Images of ``points`` that lie within the ``domain`` of the points of a mesh, along each period."""
+        """``points``, displaced by whole periods into the mesh, whose points are ``domain``."""
         if not len(self.vectors):
             return points
         along = np.linalg.pinv(self.vectors)

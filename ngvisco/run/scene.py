@@ -51,8 +51,8 @@ def write_scene_of_series(
 ) -> None:
     """Write a page that shows a run's VTK series, e.g. in ``results/swirl/vtk``, with a slider of time.
 
-    ``fields`` are names of scalars, of vectors for their modulus, or of components, ``NAME_i`` and
-    ``NAME_ij``; default density, J, velocity, pressure and von Mises stress, if the series has them.  The
+    ``fields`` are names of scalars, of components (``NAME_i`` and ``NAME_ij``), or of vectors, whose modulus
+    is shown.  The default is density, J, velocity, pressure and von Mises stress, if the series has them. The
     page holds at most ``most`` states, evenly chosen.  Raises CheckpointError if there is no series, or a
     file cannot be read; UnknownNameError for a field that the series does not have.
     """

@@ -217,7 +217,7 @@ class BodySlopes:
             counts = np.bincount(np.concatenate([np.array(dofs) for dofs in met]), minlength=of_cells.ndof)
             basis = basis_at(weights.space, lattice)
             trial, test = weights.space.TnT()
-            # the rule of NGSolve's Set for functions of order one
+            # NGSolve's Set has this rule for functions of order one
             over = dx(intrules=rules(step.mesh.dim, 2))
             mass, form = BilinearForm(weights.space, condense=True), BilinearForm(step.layout.space)
             mass += trial * test * over

@@ -143,8 +143,8 @@ def gradient(
     adjoint is refused for a run with it.
 
     Raises ParameterError or UnknownNameError for an unknown number or parameter, and for damage, relaxed
-    steps and several ranks, which have no derivatives here; StepError as ``Simulation.run``; StopRequested
-    after ``simulation.request_stop()``.
+    steps and several ranks, which have no derivatives here. Raises StepError as ``Simulation.run``, and
+    StopRequested after ``simulation.request_stop()``.
 
     Parameters
     ----------

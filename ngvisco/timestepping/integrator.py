@@ -124,7 +124,7 @@ class Integrator:
         self.meter, self.carried, self.startup, self.relaxed = meter, list(carried), startup, relaxed
         self.distance = BregmanDistance(self.step)
         self._before = rothe.start
-        """The state before the step; until the second stage it is the start of the solver's step."""
+        """The state before the step: ``rothe.start`` until the second stage, and then a copy."""
         self._t = 0.0
         self.tried = 0.0
         """Length of the last attempted step, s."""

@@ -166,8 +166,8 @@ def midpoint() -> TimeScheme:
 def theta_scheme(theta: float) -> TimeScheme:
     """The one-leg scheme U = rothe(u_0, theta tau), u_1 = u_0 + (U - u_0)/theta.
 
-    Raises ParameterError unless 1/2 <= theta <= 1; for a smaller theta the scheme is unstable, and there is
-    none for a larger one.
+    Raises ParameterError unless 1/2 <= theta <= 1. The scheme is unstable for theta < 1/2, and its stage
+    would lie after the step for theta > 1.
     """
     if not (as_number(theta) is not None and 0.5 <= theta <= 1.0):
         raise ParameterError("theta", theta, "a number in [1/2, 1] (1/2 is midpoint, 1 is backward-euler)")

@@ -373,7 +373,7 @@ def test_one_body_alone_runs_with_sharp_interfaces():
     assert abs(run.run(0.04).column("closure_relative")).max() < 1e-13
 
 
-def test_an_interface_at_rest_does_not_move():
+def test_sharpening_keeps_interfaces_where_the_velocity_is_zero():
     """Without velocity cells exchange nothing, and bodies that are already separated in a cell stay as they
     are."""
     step, bounds = smeared()

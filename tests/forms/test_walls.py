@@ -160,7 +160,7 @@ def test_a_one_dimensional_mesh_is_refused() -> None:
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_identified_walls_of_a_refined_mesh_are_known(dim):
+def test_identified_walls_of_a_refined_mesh_are_found(dim):
     """In a refined mesh facets have other numbers than edges or faces, among which divided ones are counted
     too."""
     mesh = box((1,) * dim, 0.5, periodic="x")

@@ -218,7 +218,7 @@ def test_moduli_at_rest_are_as_documented(name):
 
         strain = (A + A.T) / 2 - np.trace(A) / 3 * np.eye(3)
         expected = bulk * np.trace(A) * np.eye(3) + 2 * shear * strain
-        # fourth order, but for |E|^3.5 in HardeningElastic, whose stress adds 10 h^1.5
+        # the error is of fourth order; the energy |E|^3.5 of HardeningElastic adds an error of 10 h^1.5
         difference = (8 * (stress(h) - stress(-h)) - (stress(2 * h) - stress(-2 * h))) / (12 * h)
         assert np.allclose(difference, expected, atol=2e-4 if name == "HardeningElastic" else 1e-7)
 

@@ -34,7 +34,7 @@ def start(place, solver):
 
 @pytest.mark.parametrize("solver", ["coupled", "split"])
 @pytest.mark.parametrize("place", [0.5, 1.0], ids=["between cells", "on a wall"])
-# near the domain's edge projected conjugates are far from those of the traces
+# near the boundary of the energy's domain, projected conjugates are far from the traces' conjugates
 @pytest.mark.filterwarnings("ignore::ngvisco.run.signs.DissipationWarning")
 def test_a_step_with_traces_outside_the_energy_s_domain_is_solved(place, solver):
     run, *_ = start(place, solver)

@@ -171,7 +171,7 @@ class Fitted:
         def in_plane(B: CoefficientFunction, B_33: float) -> CoefficientFunction:
             return B - (Trace(B) + B_33) / 3 * Id(2)
 
-        # momentum, with the stress at the end of the step
+        # the balance of momentum has the stress at the end of the step
         u, test = self._velocities.TnT()
         B, J = tensor(self._z_next), self._z_next[3]
         relative = self._v_next - self._w

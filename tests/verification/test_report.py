@@ -152,7 +152,7 @@ def test_closure_and_drift_are_the_worst_of_all_runs_of_a_case(monkeypatch):
     assert run_case(replace(one, run=list), "1").status == "error"
 
 
-def test_misspelt_name_is_an_error_with_the_nearest_one(cases, tmp_path, capsys):
+def test_the_error_for_a_misspelt_name_gives_the_nearest_name(cases, tmp_path, capsys):
     cases += [case("limit-tau-finite", 0.0)]
     assert main(["limit-tua", "-o", str(tmp_path / "r")]) == BAD_INPUT
     assert "did you mean 'limit-tau-finite'" in capsys.readouterr().err

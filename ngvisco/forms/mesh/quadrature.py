@@ -84,7 +84,7 @@ class Quadrature:
         """
         degree = max(2 * k + m + 1, 2 * m + k) + bonus
         degree += degree % 2
-        # transport on facets needs 2m + 1 for its order; see SYMMETRIC_DEGREE
+        # the order of transport on facets needs the degree 2m + 1; see SYMMETRIC_DEGREE
         return cls(mesh, degree, degree if mesh.dim == 2 else min(degree, SYMMETRIC_DEGREE), m, symmetry)
 
     @property

@@ -80,8 +80,8 @@ class Initial:
     datum_point : sequence of numbers, optional
         Point of the domain at which the pressure is ``datum_pressure``, m.
     datum_pressure : float
-        Pressure at the datum relative to the pressure at J = 1 and the reference temperature, which is zero
-        except for gases and materials with stress at rest.
+        Pressure at the datum, less the pressure at J = 1 and the reference temperature. The subtracted
+        pressure is zero except for gases and materials with stress at rest.
     values : mapping of names to coefficient functions, optional
         Initial values by name. Values of the material's variables replace the values that follow from F.
         Values of further terms' evolving unknowns are zero by default.  The value of a body's tensor is the

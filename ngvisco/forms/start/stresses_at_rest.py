@@ -1,4 +1,4 @@
-"""Warnings of stresses at rest, F = I, that nothing balances: where bodies meet, and on open walls.
+"""Warnings of unbalanced stresses at rest (F = I), at interfaces of bodies and on open walls.
 
 An energy per actual volume has the stress phi(I) I at rest, in addition to its derivatives' stress: a
 ``NeoHookean`` body is under tension at rest, a ``BarotropicFluid`` under pressure.  A body alone in its box

@@ -4,12 +4,12 @@ Let mu be the potential, j = M grad mu the flux and chi a test. By an interior p
 
     int j . grad chi - sum_K int_{dK} (f - f_hat) chi,      f = j . n - p (mu - mu_hat), p = s M/h,
 
-where mu_hat and f_hat are the means of both sides. f - f_hat is half of the difference of the two sides' f:
-the mean flux, less p times half of the jump.  The difference has opposite signs on the two sides, so that
-chi = 1 gives zero and the amount is conserved to rounding.  On walls f_hat = f, so that nothing flows through
-them.  The penalty is incomplete: it omits the term that would make it symmetric in mu and chi.  The flux is
-consistent for m >= 1.  m = 0 is refused, since the flux by the penalty alone depends on the cells' shapes,
-however fine the mesh is.
+where mu_hat and f_hat are the means of both sides. f - f_hat is half of the difference of the two sides' f,
+which is the mean of j . n over both sides, less p/2 times the jump of mu.  The difference has opposite signs
+on the two sides, so that chi = 1 gives zero and the amount is conserved to rounding.  On walls f_hat = f, so
+that nothing flows through them.  The penalty is incomplete: it omits the term that would make it symmetric in
+mu and chi.  The flux is consistent for m >= 1.  m = 0 is refused, since the flux by the penalty alone depends
+on the cells' shapes, however fine the mesh is.
 """
 
 from abc import abstractmethod

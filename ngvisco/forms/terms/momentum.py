@@ -124,7 +124,7 @@ class Inertia(PointTerm):
         return Integrand(-0.5 * d.rho * square(b.v))
 
     def distance(self, a: Fields, b: Fields) -> Entry:
-        """Bregman distance 1/2 rho_a |v_a - v_b|^2; an implicit Euler step from a dissipates it."""
+        """Bregman distance 1/2 rho_a |v_a - v_b|^2, dissipated by an implicit Euler step from ``a``."""
         return Entry("inertial", "numerical", Integrand(0.5 * a.rho * square(a.v - b.v)))
 
 

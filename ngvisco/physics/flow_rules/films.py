@@ -1,4 +1,4 @@
-"""Films of fluid and a body in one cell, in series: they bear one shear traction, and shear at two rates.
+"""Films of fluid and a body in series in one cell: they have one shear traction and two shear rates.
 
 A cell that an interface of normal n cuts has one velocity. Let S be the fluid's part of the cell. Let D be
 the shear across the interface at the cell's rate, e_f the shear of the fluid and e that of the body:

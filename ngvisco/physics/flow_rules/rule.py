@@ -5,8 +5,8 @@ A rule is local, Pi = rate(M, zeta, z) at every point, or has a gradient term,
     psi'(Pi) - div(nu |grad Pi|^{q-2} grad Pi) = M,   (n . grad) Pi = 0 on walls   (paper: ED-Euler-large3)
 
 with the potential psi(Pi) whose derivative is the inverse of M -> rate(M).  A rule defines rate and psi with
-the operations of ``ngvisco.physics.tensors``, for coefficient functions and arrays alike, and never their
-derivatives.
+the operations of ``ngvisco.physics.tensors``, for coefficient functions and arrays alike.  A rule does not
+define the derivatives of rate and psi.
 
 If a rule hardens, its yield stress grows with the accumulated plastic strain k, which the matter carries.
 The stored part of the work of yield is an energy phi_h(k) per reference volume, in addition to the elastic

@@ -40,8 +40,8 @@ class BarotropicFluid(ContinuedInJ):
         p = a rho^gamma,   a = (gamma - 1) B / rho_R^gamma,
 
     and phi = B A^gamma with A = 1/J = rho/rho_R.  ``from_state_equation`` makes the material from a.  The
-    speed of sound is sqrt(gamma p/rho), the bulk modulus gamma p.  phi is convex in J and in A.  Without a
-    shear modulus creep has no effect.  Raises ParameterError if a parameter is out of its range.
+    speed of sound is sqrt(gamma p/rho), the bulk modulus gamma p.  phi is convex in J and in A.  Creep has
+    no effect, since there is no shear modulus.  Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------

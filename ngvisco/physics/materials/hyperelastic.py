@@ -116,7 +116,7 @@ class IsotropicElastic(Material):
 
     @property
     def is_by_B(self) -> bool:
-        """Whether the variables are left Cauchy-Green tensors; False while ``elastic_state`` is open."""
+        """Whether the variables are left Cauchy-Green tensors; False while ``elastic_state`` is None."""
         return self.elastic_state == "B"
 
     @property
