@@ -59,7 +59,8 @@ class AdaptiveSteps:
         temperature.  The first step, and in a scheme of order 2 the second step, has no estimate, so that dt
         has to be short.  Without a tolerance only steps that are not solved are shortened.
     patience : int
-        Accepted steps in a row after which the length is doubled; has no effect with a tolerance.
+        Number of accepted steps in a row after which the length is doubled.  With a tolerance, this holds
+        only for steps without an estimate of the error.
     damage_growth : float, optional
         Largest growth of the damage at a point in a step, for a material that breaks. A step with more
         growth is repeated with a shorter length, down to dt_min, where any growth is accepted. The load at

@@ -35,7 +35,7 @@ _LOCKS = 10.0
 sinks.  Cells with k = 2 damp flows above the same ratio of the modulus and rho v^2: with the ratios 10, 30,
 100 and 10,000 the vortices of Taylor and Green lose 0.8, 2.2, 3.1 and 3.7 % more energy than with k = 3."""
 _SLOW = 100.0
-"""If waves cross the domain more often than this in a step, inertia has no part in the motion."""
+"""Number of times that waves cross the domain in a step, above which inertia has no part in the motion."""
 _SINKS, _SMALL = 0.05, 0.01
 """Relative compressions of a body by its own weight: the least compression that is reported, and the
 compression that the advice aims at."""
@@ -47,9 +47,9 @@ _HOT = 3.0
 """Ratio c dtheta/(theta_R K beta) above which the thermal stress is wrong.  In a ring that was two cells
 thick, the hoop stress was wrong by 3 % with the ratio 1.1, by 40 % with 11, and by 4 % with 11 and m = 2."""
 _MOVED = 1e-6
-"""Share of the domain's shortest edge by which matter of a run moves at least, unless it rests."""
+"""Displacement relative to the domain's shortest edge, above which the matter of a run counts as moved."""
 _ABOVE_YIELD = 0.1
-"""Ratio of viscous overstress and yield stress, above which yield does not hold the stress."""
+"""Ratio of viscous overstress and yield stress, above which the run advises a smaller G_m."""
 
 
 @dataclass(frozen=True)
@@ -65,8 +65,7 @@ class Scales:
     cell: float
     """Median size of a cell, m."""
     velocity: float
-    """The largest velocity in the run so far, else of walls or of the start, m/s; 0 if no velocity is
-    known."""
+    """The largest velocity, m/s, as in ``largest_velocity``; 0 if no velocity is known."""
     speeds: tuple[float, float]
     """Speeds of the fastest longitudinal and the fastest shear waves at rest, m/s."""
     kinematic_viscosity: float
@@ -104,7 +103,7 @@ class Scales:
     k: int = 2
     """Order of the velocity."""
     longest: float = 0.0
-    """The longest step of a run that chooses its steps, s; at most dt for steps of one length."""
+    """The longest step that the run may take, s: dt_max for adaptive steps, otherwise dt."""
     startup: int = 0
     """Number of first steps by backward Euler."""
 
@@ -123,8 +122,8 @@ class Scales:
 
     @property
     def _over_flow(self) -> float:
-        """Ratio of the longitudinal modulus and the stress of a flow, the larger of rho v^2 and G_v v/L; 0 if
-        no velocity is known."""
+        """Ratio of the longitudinal modulus to the stress of the flow, which is the larger of rho v^2 and G_v
+        v/L; 0 if no velocity is known."""
         if not self.velocity > 0:
             return 0.0
         viscous = self.kinematic_viscosity * self.velocity / self.length
@@ -287,7 +286,7 @@ class Scales:
 
 
 def scales(simulation: RunState) -> Scales:
-    """The scales of a simulation at its present state, which before the run is the initial one."""
+    """The scales of a simulation at its present state."""
     mesh, step = simulation.mesh, simulation.rothe_step
     places = extreme_places(step, simulation.sampler)
     if not places:

@@ -28,8 +28,8 @@ def check_arguments(observers: Any, walls: Any, passive: Any, sources: Any, term
 
 
 def require_observers(observers: Sequence[Any]) -> None:
-    """Raise ParameterError for an object that is no observer, for an observer that is there twice, and for
-    two observers that write one file or one series of files."""
+    """Raise ParameterError for an object that is no observer, for an observer that is given twice, and for
+    two observers that write to one file or to one series of files."""
     places = set[Any]()
     for observer in observers:
         require_methods("observers", observer, _OF_OBSERVERS)

@@ -53,8 +53,10 @@ class Tractions:
         numbers = GridFunction(space)
         numbers.vec.FV().NumPy()[:] = np.arange(space.ndof)
         self._numbers = np.rint(self._lattice.values(numbers)[:, 0]).astype(int)
-        """The number of the unknown of chi at each corner of each cell; a cell may meet its own periodic
-        image."""
+        """The number of the unknown of chi at each corner of each cell.
+
+        Two corners of a cell have one number if the cell meets its own image across a periodic boundary.
+        """
         self._counts = self._sums(np.ones(len(self._numbers)))
         pairs = [(0, 0), (1, 1), (2, 2), (0, 1), *([(0, 2), (1, 2)] if self._dim == 3 else [])]
         self.of_stress = {f"stress_{i + 1}{j + 1}": (i, j) for i, j in pairs}

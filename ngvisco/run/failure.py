@@ -51,15 +51,17 @@ class FailureReport:
     Attributes
     ----------
     time, tau : float
-        Begin and length of the step, s (with adaptive steps: of the last one tried).
+        Begin and length of the step, s; in a run with adaptive steps those of the last step tried.
     number : int
         Number of the step that failed, from 1.
     violation, state : Violation and array, or None
         The bound that the refused solution violates, and the coefficients of this solution (on several ranks
         those of this rank), which ``showing`` shows; None if no solution was found.
     courant : float
-        Largest tau |v|/h at the state before the step, 0 at rest, in cell ``fastest`` (its number in the
-        whole mesh, or None if not known) at ``place`` (m), near ``wall``.
+        Largest tau |v|/h in the state before the step; 0 at rest.
+    fastest, place, wall : int or None, tuple, and str or None
+        Number in the whole mesh (None if unknown) of the cell with the largest |v|/h, the place of this
+        value, m, and the name of the nearest wall.
     history : tuple of Attempt
         Attempts to solve the step, with their start values.
     advice : tuple of str
@@ -151,7 +153,7 @@ def failure_report(simulation: RunState, error: StepError) -> FailureReport:
 
 
 def _held(model: Model, history: Sequence[Attempt]) -> Iterator[str]:
-    """Yield advice if rounding of the stress moved the body in some attempt."""
+    """Yield advice if some attempt ended because rounding of the stress moved the body."""
     if not any(attempt.solution.status is Status.ROUNDING for attempt in history):
         return
     yield (

@@ -3,7 +3,7 @@
 | name                 | what                                                                  | unit |
 |----------------------|-----------------------------------------------------------------------|------|
 | velocity             | v                                                                     | m/s  |
-| density              | rho, kg/m^3                                                           |      |
+| density              | rho                                                                   | kg/m^3 |
 | cauchy_stress        | T, 3x3: elastic stress, without the viscous stress                    | Pa   |
 | pressure             | -tr T/3                                                               | Pa   |
 | pressure_from_rest   | pressure less its value at F = I, which a body of fixed shape does not feel | Pa |

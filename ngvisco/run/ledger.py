@@ -9,8 +9,8 @@ scheme's numerical dissipation, sums of Bregman distances (``ngvisco.timesteppin
 Euler step these parts are 1/2 int rho_old |v - v_old|^2 and int phi(z_old) - phi(z) - phi'(z):(z_old - z);
 the second one is >= 0 where the energy is convex.  In schemes of second order the two parts have either sign.
 ``limiter`` is the energy that the limiter, and restored determinants of sharp bodies, take from the state at
-the step's end (``ngvisco.forms.bounds``, ``ngvisco.forms.cut_strains``),
-``limiter_walls`` the share of this energy that passes moved walls.
+the step's end (``ngvisco.forms.bounds``, ``ngvisco.forms.cut_strains``); ``limiter_walls`` is the share of
+this energy that passes through held or moving walls.
 """
 
 import math

@@ -83,7 +83,8 @@ class Momentum:
         """Lever arm of each motion, m: the mesh's reach for rotations; 1 for translations."""
         self._given = [IMPULSE + name for name in self.impulses.names]
         self._at_once: list[str] = []
-        """Names of the impulses in earlier parts of the run, and of the transfers between parts."""
+        """Names of impulses that only earlier parts of the run have, and of impulses by transfers between
+        parts."""
         self._has_warned, self._is_alone = False, len(step.model.bodies) < 2
         self.resume([])
 

@@ -200,7 +200,7 @@ def limited_in_words(row: dict[str, float]) -> str:
 class LedgerCSV:
     """Writes the ledger as CSV: a header, then a row a step, flushed at every step.
 
-    A resumed run writes the rows up to the checkpoint's and goes on from there; later rows are dropped.
+    A resumed run first rewrites the file with the rows up to its checkpoint, which removes later rows.
     Raises ParameterError if a parameter is out of its range.
     """
 

@@ -132,8 +132,8 @@ def _connected(cells: np.ndarray, is_inside: np.ndarray) -> np.ndarray:
 
 
 def _followed(first: int, joints: list[tuple[int, int, np.ndarray]], count: int) -> dict[int, np.ndarray]:
-    """For each part that ``joints`` connect with the part ``first``, the numbers of the ``count`` periods by
-    which the part is displaced; the part ``first`` stays in its place."""
+    """Displacement of each part that ``joints`` connect with the part ``first``: for each of the ``count``
+    periods, by how many of them the part is displaced.  The part ``first`` stays in its place."""
     found, reached = {first: np.zeros(count, dtype=int)}, [first]
     while reached:
         part = reached.pop()

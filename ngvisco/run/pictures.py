@@ -20,7 +20,7 @@ from ngvisco.run.frames import Frame, cut, frame_of, outline, read_frame, read_s
 from ngvisco.shapes.fractions import subdivision
 
 PAGE, LABELS = 7.2, 9
-"""Width of pictures, a page's, in inches; size of the smallest labels, points."""
+"""Width of pictures, which fits a page, in inches; and size of the smallest labels, points."""
 FORMATS = ("png", "pdf", "svg")
 _LEVEL = 1e-10
 """Relative variation below which a quantity is drawn as constant."""
@@ -65,8 +65,10 @@ def save(fig: Any, path: AnyPath) -> None:
 
 
 def widened(low: float, high: float) -> tuple[float, float]:
-    """The range of a quantity; for a quantity that varies by rounding only, a tenth of its size around the
-    value."""
+    """The range of a quantity.
+
+    A quantity that varies by rounding only gets a range around its value, with a tenth of the value's size.
+    """
     size = max(abs(low), abs(high))
     more = 0.05 * size if high - low < _LEVEL * size else 0.0
     return low - more, high + more

@@ -35,7 +35,7 @@ class _Renumbering:
 
     ``whole`` is the space on the whole mesh on the first rank, None on other ranks.  ``chosen`` lists the
     unknowns to be numbered, in their order; default all.  ``dofs``, (unknowns,), holds the rank's numbers; an
-    unknown without a cell, as the image of an identified unknown, has the number -1.
+    unknown without a cell, such as the image of an identified unknown, has the number -1.
     """
 
     def __init__(

@@ -1,9 +1,9 @@
 """Meshes that follow a field: cells of a first mesh are divided where the field is steep, time and again.
 
 Every mesh of a run is a bisection of the first one, so that a cell of one mesh is a cell, a part of a cell or
-a union of cells of another; where the field has become flat cells are coarse again.  ``ngvisco.run.transfer``
-carries a state over, without loss onto finer cells if these are straight, and by L2 projection onto coarser
-cells; the ledger's column ``transfer`` is the energy that the projection takes.
+a union of cells of another.  Where the field has become flat, cells are coarse again.
+``ngvisco.run.transfer`` carries a state over, without loss onto finer cells if these are straight, and by L2
+projection onto coarser cells; the ledger's column ``transfer`` is the energy that the projection takes.
 """
 
 from __future__ import annotations

@@ -12,7 +12,8 @@ from ngvisco.physics.tensors import inner, square
 _STEPS = 10
 """Number of alternating steps in a row before a run warns; ten signs agree by chance once in 1,000 runs."""
 _LEFT = 1e-4
-"""Kinetic energy, over the largest one of the run, up to which what is left of a motion does not warn."""
+"""Ratio of the kinetic energy to its largest value in the run, up to which alternating velocities bring no
+warning, because they are remains of an earlier motion."""
 
 
 class RingingWarning(NgviscoWarning):
@@ -24,9 +25,9 @@ class Ringing:
 
     By the midpoint rule a wave of the frequency omega advances by the angle a, tan(a/2) = omega tau/2, in a
     step of the length tau.  Then v_{n+1} + v_{n-1} = 2 cos(a) v_n, so that int rho v_n . (v_{n+1} + v_{n-1})
-    is negative if most of the kinetic energy is in waves with omega tau > 2.  By every scheme it is negative
-    for a motion that a load repeats in fewer than four steps.  Velocities below the error of a step's
-    solution do not count.
+    is negative if most of the kinetic energy is in waves with omega tau > 2.  By every scheme this integral
+    is negative for a motion that a load repeats in fewer than four steps.  Velocities below the error of a
+    step's solution do not count.
     """
 
     def __init__(self, step: Step, ranks: Communicator) -> None:
@@ -37,8 +38,10 @@ class Ringing:
         self._integrand = CF((opposed, rho * square(self._last), rho)).Compile()
 
     def __call__(self, t: float, error: float) -> None:
-        """Check the state at the time ``t``, s, after a step; ``error`` is that of the velocities of a step's
-        solution, m/s."""
+        """Check the state at the time ``t``, s, after a step.
+
+        ``error`` is the error of the velocities, m/s, with which a step is solved.
+        """
         if self._count == _STEPS:
             return
         opposed, energy, mass = self._step.quadrature.integrate_cells(self._integrand)

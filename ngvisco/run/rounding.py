@@ -1,4 +1,4 @@
-"""The size of rounding in the energy ledger of a step, below which its closure says nothing."""
+"""The size of rounding in the energy ledger of a step; a closure below this size is no error."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from ngvisco.forms.term import Entry
 from ngvisco.physics.materials.thermal import entropy_in
 
 _STRETCH, _OPERATIONS = 1e-4, 30
-"""Relative change of the variables in the second difference by which the size of an energy density's terms is
-estimated; and the rounding of an energy density, in units of the rounding of numbers of this size."""
+"""Relative change of the variables in the second difference that estimates the size of an energy density's
+terms; and the rounding of the density, as a multiple of the machine epsilon times this size."""
 
 
 def rounding(step: Step, sampler: Sampler, tau: float) -> float:
@@ -21,8 +21,8 @@ def rounding(step: Step, sampler: Sampler, tau: float) -> float:
 
     An energy that is zero at rest, such as tr B - ln det B - 3, is a difference of larger terms.  The terms'
     size is int |phi''(z)[z, z]|; the size of the heat above theta_R is int c theta.  The heat that a wall
-    exchanges by a large coefficient is a small difference of two temperatures: the last digit of the entropy
-    leaves eps tau int coefficient theta.
+    exchanges by a large coefficient is a small difference of two temperatures; a change of the entropy in its
+    last digit changes this heat by eps tau int coefficient theta.
     """
     z = step.now.z_tensors
     factors = (1 - _STRETCH, 1.0, 1 + _STRETCH)

@@ -8,7 +8,7 @@ from ngvisco.parallel.communicator import Communicator
 from ngvisco.run.fraction_samples import FractionSamples
 
 _MOVED = 0.25
-"""Largest number of cells that matter moves between two looks at the surfaces."""
+"""Distance, in cells, that matter may move between two examinations of the surfaces."""
 
 
 class SelfContactWarning(NgviscoWarning):
@@ -19,8 +19,8 @@ class SelfContact:
     """Warning, once for each body that has a place, of parts of its surface that face each other within 1.5
     cells.
 
-    Surfaces are looked at after the first step, and whenever matter may have moved by a quarter of a cell, so
-    that a look costs little beside the steps.
+    Surfaces are examined after the first step, and whenever matter may have moved by a quarter of a cell, so
+    that the examinations cost little beside the steps.
     """
 
     def __init__(self, step: Step, ranks: Communicator) -> None:
@@ -30,7 +30,7 @@ class SelfContact:
         self._samples: FractionSamples | None = None
 
     def __call__(self, t: float, courant: float) -> None:
-        """Look at the state at the time ``t``, s, after a step with the Courant number ``courant``."""
+        """Examine the state at the time ``t``, s, after a step with the Courant number ``courant``."""
         self._moved += courant
         if not self._left or self._moved < _MOVED:
             return

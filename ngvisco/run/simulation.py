@@ -75,9 +75,9 @@ class Simulation(RunState):
     Parameters
     ----------
     mesh : ngsolve.Mesh
-        Mesh in 2D (plane strain, or see ``symmetry``) or 3D; every boundary that is not periodic is an
-        impenetrable wall.  If mpirun started several processes, the first one's mesh is distributed over
-        them (``simulation.mesh``).
+        Mesh in 2D (plane strain, or see ``symmetry``) or 3D; every boundary that is not periodic is a wall.
+        If mpirun started several processes, the mesh of the first process is distributed over them
+        (``simulation.mesh``).
     model : Model
     initial : Initial, optional
     walls : mapping of boundary names (or tuples of them) to Wall objects, optional
@@ -203,8 +203,10 @@ class Simulation(RunState):
         self.ledger.resume(checkpoint.balance, rows, limits)
 
     def set_time(self, t: float, number: int) -> None:
-        """Set the number and the time ``t`` (s) of a new present state, as a restart or a transfer does; what
-        the run keeps of earlier steps does not belong to this state."""
+        """Set the number and the time ``t`` (s) of a new present state, as a restart or a transfer does.
+
+        Data of earlier steps that the solver and the warnings use are discarded.
+        """
         super().set_time(t, number)
         self.solver.reset()
         parts = self.rothe_step, self.ranks

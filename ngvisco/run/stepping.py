@@ -2,10 +2,10 @@
 
 Fixed.  A step that is not solved is taken in halves, quarters, eighths (``FixedStepper``).
 
-Adaptive.  A step is rejected, and its length halved, when Newton fails, or when rho, J (or A) is not positive
-at a sampling point, or when damage grows by more than its bound (``ngvisco.run.adaptive``).  With a
-tolerance, a step whose estimated relative error e (``ngvisco.timestepping.error``) is larger than the
-tolerance is rejected, and tried again with the length
+Adaptive.  A step is rejected and repeated with half of its length when Newton fails, or when rho, J (or A) is
+not positive at a sampling point.  A step in which damage grows by more than its bound is repeated with a
+shorter length (``ngvisco.run.adaptive``).  With a tolerance, a step whose estimated relative error e
+(``ngvisco.timestepping.error``) is larger than the tolerance is rejected, and repeated with the length
 
     tau (0.9 tolerance/e)^(1/(p+1)),
 
@@ -83,11 +83,12 @@ class TimeSteps:
         the mean but not at each point. The ledger's column limiter has the energy that the limiter takes.
         With false a cell with a value that is not positive ends the run.
     drift : float
-        Largest |det F/J - 1| in the mean of a cell, for a tensor and a volume that are carried separately,
-        in an accepted step.  A larger bound lets a run go on where a body is torn at a corner.
+        Largest |det F/J - 1| of a cell's mean in an accepted step, if a tensor and a volume are carried
+        separately.  A larger bound lets a run go on where a body is torn at a corner.
     halvings : int
-        How often a step of fixed length that is not solved is halved, before solver.method = "auto" turns to
-        the other solver; with 0 a step is not halved.  The run tries the first solver again after 16 steps.
+        Number of times that an unsolved step of fixed length is halved, before solver.method = "auto" turns
+        to the other solver; with 0 a step is not halved.  The run tries the first solver again after 16
+        steps.
     velocity_scale : float, optional
         A typical velocity, from which a typical curvature of v follows.  Below this curvature, the penalty
         of the hyperviscosity is constant.  The estimate of errors adds this velocity to the size of v, and
@@ -252,7 +253,7 @@ class FixedStepper:
 
     @property
     def origin(self) -> float:
-        """Origin of output times, s: 0 if steps counted back from the first one end there; else its start."""
+        """Origin of output times, s: 0 if whole steps lead back to 0, otherwise the first step's start."""
         return 0.0 if self._meets(0.0) else self._start
 
     def check(self, name: str, time: float) -> None:
@@ -266,8 +267,8 @@ class FixedStepper:
         return self._position(run.t) >= self._position(time)
 
     def step_of(self, time: float, number: int) -> tuple[int, bool]:
-        """Number of the step to which the state at ``time`` (s) belongs, and whether the state ends the step
-        and not only a part.  ``number`` is the state's row in the ledger."""
+        """Number of the step to which the state at ``time`` (s) belongs, and whether this state ends the
+        whole step or only a part of it.  ``number`` is the state's row in the ledger."""
         position = self._position(time)
         if position < 0:  # the time belongs to earlier steps, which had another length
             return number, True
@@ -405,7 +406,7 @@ class AdaptiveStepper:
         return self._estimate
 
     def _length(self, t: float, stop: float) -> tuple[float, float]:
-        """Length and end of the next step: at ``stop``, or half way there if two steps would pass it."""
+        """Length and end of the next step: at ``stop``, or half way to ``stop`` if two steps pass it."""
         left = stop - t
         if self.dt >= left * (1 - _ROUNDING):
             return left, stop

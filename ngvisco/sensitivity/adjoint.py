@@ -98,7 +98,7 @@ class Adjoint:
     ) -> np.ndarray:
         """Slopes of the numbers by one start state, (numbers, unknowns).
 
-        The slopes contain only columns at the present state that read the step's start.
+        Only columns at the present state that read the step's start contribute to the slopes.
         """
         result = np.zeros((len(weights), len(self.base.state)))
         for name in self.slopes.reading_start:
@@ -124,7 +124,8 @@ class Adjoint:
         self.base.at(state)
 
     def _step(self, number: int, recorded: RecordedStep, slopes: np.ndarray) -> np.ndarray:
-        """Slopes of the numbers by the start of a step, computed from ``slopes`` by the end of the step."""
+        """Slopes of the numbers by the state at a step's start; ``slopes`` are those by the state at its
+        end."""
         solutions = [recorded.state, *(stage.state for stage in recorded.stages)]
         loads, weights = np.zeros((len(solutions), *slopes.shape)), self.ends[:, number]
 

@@ -162,7 +162,7 @@ class Columns:
     def impulse(self, rows: np.ndarray, v: np.ndarray | None) -> np.ndarray:
         """Contributions of the walls' impulse to the columns, (columns,).
 
-        ``rows`` is the impulse over the step's length, N, in the rows of v.
+        ``rows`` is the impulse divided by the step's length, N, in the rows of v.
 
         With ``v``, the velocity of the last stage, the contributions include the impulse's power.
         """

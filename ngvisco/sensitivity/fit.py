@@ -143,8 +143,8 @@ def fit(
     """Fit parameters of a run to measured data by least squares.
 
     The search is SciPy's ``least_squares`` within bounds, with the derivatives of ``gradient``.  For a
-    parameter with positive bounds the search varies its logarithm.  A run without a solution counts as a bad
-    trial.
+    parameter whose bounds have one sign the search varies the logarithm of the absolute value.  A run without
+    a solution counts as a bad trial.
 
     Raises DataError for invalid data, or for times, columns or units that the run does not have;
     ParameterError or UnknownNameError for an unknown parameter or invalid bounds; StepError if the run from
@@ -302,7 +302,7 @@ class _Search:
         self._restart.keep(_name(self.runs), numbers, arrays)
 
     def _inner(self, p: np.ndarray) -> np.ndarray:
-        """Unknowns of the search: logarithms of ``p`` if the bounds have one sign, otherwise scaled ``p``."""
+        """Unknowns of the search: logarithms of |p| if the bounds have one sign, otherwise scaled ``p``."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(self.signs != 0, np.log(self.signs * p), p / self.scales)
 

@@ -168,8 +168,10 @@ class Follower:
         return self.columns.impulse(rows, None if recorded.ends_at_stage else v)
 
     def impulse_rows(self, recorded: RecordedStep, states: Sequence[Evolved], end: np.ndarray) -> np.ndarray:
-        """Rows of the momentum equation at a combined end, N s. Where walls hold v, they are the walls'
-        impulse."""
+        """Rows of the momentum equation at a combined end, N s.
+
+        The rows of coefficients that walls prescribe are the walls' impulse.
+        """
         self.step.start_from(list(zip(recorded.weights, states, strict=False)))
         self.state[:] = end
         if (multiplier := self.step.layout.ranges.get("wall_stress")) is not None:

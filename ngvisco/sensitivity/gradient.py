@@ -140,11 +140,11 @@ def gradient(
     limiter causes errors of 0.1 % in runs with three limited cells. Constant sides of upwinding cause no
     error, except where matter rests at a facet with a jump: there the result is between the two one-sided
     derivatives. The tangent also differentiates the separation of bodies by ``Discretisation.sharp``; the
-    adjoint is refused for a run with it.
+    adjoint is refused for a run with this separation.
 
-    Raises ParameterError or UnknownNameError for an unknown number or parameter, and for damage, relaxed
-    steps and several ranks, which have no derivatives here. Raises StepError as ``Simulation.run``, and
-    StopRequested after ``simulation.request_stop()``.
+    Raises ParameterError or UnknownNameError for an unknown number or parameter; ParameterError for a run
+    without derivatives, for instance with damage, relaxed steps or several ranks; StepError as
+    ``Simulation.run``; and StopRequested after ``simulation.request_stop()``.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def gradient(
     of : sequence of str, or mapping of names to texts or to Misfit
         ``"COLUMN at TIME"``, or ``"COLUMN until TIME"`` for the integral over time, of a column of the ledger
         or of a table among the run's observers (``Probes``, ``Integrals``, ``WallForces``, ``Bodies``). The
-        integral of an exchange in a step, as ``bregman`` or ``impulse_gravity_1``, is the sum over the
+        integral of an exchange in a step, such as ``bregman`` or ``impulse_gravity_1``, is the sum over the
         steps.  An extremum, as ``rho_min``, is differentiated at its point.  Columns without a derivative are
         refused: counts, residuals, lengths of steps, and a body's extents and width of the interface, which
         jump. A perimeter, an angle or a gap has kinks, e.g. where the length of a body is its breadth.
@@ -172,11 +172,12 @@ def gradient(
     progress : callable, optional
         Function that is called with the numbers of differentiated steps and of all steps.
     restart : path of a folder, optional
-        Folder in which the run's steps and the state of the derivatives are kept, so that the same call goes
-        on after an interruption, with equal bits on one machine with one thread.  ``Simulation.request_stop``
-        ends the run between two iterations and the derivatives between two stages, by StopRequested; after a
-        process that died, up to ten steps of the run are repeated.  The folder has the states of all steps.
-        Raises CheckpointError for a damaged folder, or one that belongs to another run or request.
+        Folder in which the run's steps and the state of the derivatives are kept, so that the same call
+        continues after an interruption.  On one machine with one thread the results are then equal bit for
+        bit.  ``Simulation.request_stop`` ends the call by StopRequested: the run stops between two
+        iterations, the derivatives between two stages.  After a process died, up to ten steps of the run are
+        repeated.  The folder has the states of all steps.  Raises CheckpointError for a damaged folder, or
+        one that belongs to another run or request.
 
     Returns
     -------

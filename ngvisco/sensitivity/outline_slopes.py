@@ -1,10 +1,10 @@
 """Slopes of measures of a region {theta >= 1/2} in the plane by theta and v at the corners of triangles.
 
-theta is linear in each triangle. With the outline O, whose points have the velocity |grad theta|^-1,
+theta is linear in each triangle. The outline O moves outwards by delta theta/|grad theta|, so that
 
     delta int_{theta >= 1/2} f = int_O f delta theta / |grad theta| + int_{theta >= 1/2} delta f,
 
-and an end p of a segment of O, on an edge of direction d, moves by -d delta theta(p)/(d . grad theta).
+and an end p of a segment of O, on an edge with the direction d, moves by -d delta theta(p)/(d . grad theta).
 """
 
 from __future__ import annotations
@@ -105,8 +105,8 @@ class OutlineSlopes:
         return self._of_region(lambda at: np.ones(len(at))), np.zeros((*self.theta.shape, 2))
 
     def _of_moments(self, moments: Moments, by_second: np.ndarray, by_mixed: np.ndarray) -> Corners:
-        """Slopes of a function of the moments M = mean of x x^T and C = mean of v x^T about the means, from
-        the function's slopes by M and C, (2, 2)."""
+        """Slopes of a function of the moments M = mean of x x^T and C = mean of v x^T about the means,
+        computed from the function's slopes by M and by C, (2, 2) each."""
         mixed, area = moments.gradient @ moments.second, moments.area
         mean = self._mean_velocity()
 
@@ -128,7 +128,8 @@ class OutlineSlopes:
     def deformation(self, column: str) -> Corners:
         """Slopes of ``"L"``, ``"B"``, ``"D"`` or ``"angle"`` of the ellipse of inertia.
 
-        ``"D"`` and ``"angle"`` have no slope where L = B, and infinite or undefined values there.
+        Where L = B these columns have no slope: the result for ``"angle"`` is infinite or NaN, and the other
+        results depend on an arbitrary choice of the axes.
         """
         moments = self._moments()
         squares, axes = np.linalg.eigh(moments.second)

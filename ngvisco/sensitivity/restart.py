@@ -1,7 +1,7 @@
 """The folder from which an interrupted gradient goes on: steps of the run, and the state of its derivatives.
 
-Each part is an HDF5 file with a checksum, written whole or not at all.  A step's file is written once, so
-that the folder grows with the number of steps; the state of the derivatives replaces the one before it.
+Each part is an HDF5 file with a checksum, written whole or not at all.  The files of a step are written once,
+so that the folder grows with the number of steps; the file of the derivatives' state is replaced.
 """
 
 from __future__ import annotations

@@ -4,10 +4,10 @@ A stage's solution U of R(U, y; p) = 0 with start states y changes by
 
     dU = -R_U^{-1} (R_y dy + R_p dp).
 
-R_U is exact.  The bracket is the derivative of R at fixed U along (dy, dp), by differences of fourth order:
-runs with the parameter at p + o h, o = -+1, -+2, evaluate R with the start states y + o h dy.  The
-derivatives of columns are such differences too, and at a combined end also those of the momentum equation
-for v, int rho v . w - <m, w> = 0.
+R_U is exact.  The bracket is the derivative of R at fixed U along (dy, dp), computed by differences of fourth
+order (or of second order): runs with the parameter at p + o h, o = -+1, -+2, evaluate R with the start states
+y + o h dy.  The derivatives of columns are such differences too.  So is, at a combined end, the derivative of
+the momentum equation for v, int rho v . w - <m, w> = 0.
 """
 
 from __future__ import annotations

@@ -99,8 +99,10 @@ class Trajectory:
     With a ``restart`` folder each step is stored there too, and ``run`` begins after the steps that the
     folder has.  The folder also keeps parts of the derivatives' state, by name.
 
-    Raises ParameterError for a run without derivatives: with growing damage, pistons on oblique walls,
-    relaxed steps, carried outlines, viscosities in series for constants in cells, or several ranks.
+    Raises ParameterError for a run without derivatives: with growing damage, pistons on oblique or curved
+    walls, relaxed steps, carried distances from outlines, directions of interfaces that are recovered from
+    constants in cells or for layered bodies, several ranks; and, with an energy that is no expression, for
+    diffusion of fields and laws of the pressure.
     """
 
     simulation: Simulation
@@ -141,8 +143,8 @@ class Trajectory:
         self._begin()
 
     def _lacks_derivatives(self) -> bool:
-        """Whether the energy has values at points only, and a law or the diffusion of fields reads more of
-        the energy than its slope."""
+        """Whether the energy is no expression, and a law of the pressure or the diffusion of fields needs
+        more of the energy than its slope."""
         model, step = self.simulation.model, self.simulation.rothe_step
         law = model.regularisation
         if step.energy.projected is None:

@@ -72,8 +72,11 @@ class WallRows:
         return result
 
     def of_velocity(self, of_columns: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Weights of moving walls' rows if ``values`` are those of v, or slopes by v if ``values`` are those
-        of the rows."""
+        """Products of moving walls' rows with ``values``.
+
+        If ``values`` are coefficients of v, the result has weights of the rows; if ``values`` are rows of the
+        residual, the result has slopes by v.
+        """
         result = np.zeros((len(of_columns), len(values)))
         for name, mask in self.powers.items():
             result += np.outer(of_columns[:, self.names.index(name)], np.where(mask, values, 0.0))

@@ -12,8 +12,8 @@ There is no estimate before p + 1 states are known.
 The relative error is the largest of |e_u|/(|u| + s_u sqrt(volume)) over the evolving unknowns other than z
 and over the variables in z, with L2 norms over the domain.  The scale s_u (``ngvisco.forms.term``) is the
 run's velocity scale v_s for v, and 0 for rho.  For a strain, u is its departure z - z(F = I), and s_u is
-v_s/c, the strain in a wave of the velocity v_s and the speed c, plus the strain whose error the solver's
-tolerance hides.  So small and large strains have the same relative error.  For an amount in z, such as the
+v_s/c, the strain in a wave of the velocity v_s and the speed c, plus ``least``, the ratio of the solver's
+tolerance to the tolerance of this error; in a run without waves s_u is 1.
 entropy or a body's amount, and for a parameter, s_u is 1.
 """
 
@@ -40,8 +40,8 @@ class Scaled(Protocol):
 class ErrorEstimate:
     """Estimates the error of the last step from stored states, which a checkpoint contains too.
 
-    ``least`` is a strain that is too small to have an exact error; ``order`` is the highest order of a scheme
-    to be estimated.
+    ``least`` is the strain that is added to the scale of strains, because the solver's tolerance hides errors
+    of smaller strains; ``order`` is the highest order of the schemes whose errors are estimated.
     """
 
     def __init__(self, run: Scaled, least: float, order: int) -> None:
@@ -64,7 +64,7 @@ class ErrorEstimate:
         self._scales = np.array(scales)
 
     def _counted(self, components: Tensor) -> Values:
-        """The variables' values that count, by name: of strains the departure from F = I."""
+        """The values whose errors are estimated, by variable; for a strain the departure from F = I."""
         z = self.step.layout.states.tensors(lambda: components)
         rest = self.step.model.material.at_rest(z)
         return {name: z[name] - rest[name] if name in self._strains else z[name] for name in z}
@@ -82,7 +82,10 @@ class ErrorEstimate:
         del self._times[: -self._enough], self._states[: -self._enough]
 
     def __call__(self, time: float, scheme: TimeScheme) -> float | None:
-        """Relative error of the step to the present state at ``time``, s; None if unknown."""
+        """Relative error of the step that ends in the present state at ``time``, s.
+
+        The result is None if fewer states are stored than the scheme's order plus one.
+        """
         p = scheme.order
         if len(self._times) < p + 1:
             return None

@@ -1,14 +1,16 @@
 """One step of a time scheme: its stages, each a Rothe step, and the state at the step's end.
 
-Dissipation is metered at each stage's solution, so that the ledger closes to rounding for every scheme;
-``scheme`` derives the identity.  If the end is not the last stage's solution, the end combines the stages'
-momentum functionals and other evolving unknowns (rho, z, unknowns of further terms).  Then v follows from the
-momentum (``VelocityOfMomentum``) with moving walls at the end's time.  Unknowns without a time derivative
-(traces, multipliers, the creep rate field) keep their values of the last stage.
+Dissipation is evaluated at each stage's solution.  Therefore the ledger closes to rounding for every scheme;
+``ngvisco.timestepping.scheme`` derives the energy identity.  If the end is not the last stage's solution, the
+end combines the stages' momentum functionals and other evolving unknowns (rho, z, unknowns of further terms).
+Then v follows from the momentum (``VelocityOfMomentum``); on moving walls v has the walls' velocity at the
+end's time.  Unknowns without a time derivative (traces, multipliers, the creep rate field) keep their values
+of the last stage.
 
-Bounds.  An end that is negative at a point but has positive means is limited (``ngvisco.forms.bounds``).
-Stages are not limited, they only need positive means.  The momentum density is limited as rho is, and v
-follows from both.  Let U be the last stage, u_1 the end before limiting, and u the limited end:
+Bounds.  If values at the end of a step are negative at a point but have positive means, these values are
+limited (``ngvisco.forms.bounds``).  Stages are not limited; only their means have to be positive.  The
+momentum density is limited as rho is, and v follows from both.  Let U be the last stage, u_1 the end before
+limiting, and u the limited end:
 
     E(u) - E(u_1) = E'(U)[u - u_1] + B(u, U) - B(u_1, U).
 
@@ -17,8 +19,8 @@ energy; then R has B(u, U) in place of B(u_1, U), and ``limiter`` is -E'(U)[u - 
 
 Moving walls.  In prescribed rows of v, m_1 = int rho_1 v_1 . w differs from the combination of the stages'
 momenta.  The difference is an impulse of the wall, which works on the last stage's velocity; this work is
-added to the wall's power.  Where a moving wall meets an oblique or curved wall, the rows also have an impulse
-of the multipliers.  This impulse does no work, and the wall's power is without it.
+added to the wall's power.  Where a moving wall meets an oblique or curved wall, the rows also contain an
+impulse of the multipliers.  This impulse does no work and is not counted in the wall's power.
 """
 
 import math
@@ -47,9 +49,8 @@ _MEETINGS, _MEETING = 6, 1e-13
 """Largest number of Rothe steps for a relaxed step that ends at a given time, and the relative tolerance on
 its length."""
 _NOISE_MARGIN, _NOISE_DRAWS = 5.0, 8
-"""Ratio of the rounding of R to the distance between a state and a copy with random rounding errors, and the
-number of copies.  The root mean square distance of these copies is taken, because a single distance may
-vanish by chance."""
+"""Assumed ratio of the rounding of R to the root mean square distance between a state and copies of this
+state with random rounding errors, and the number of copies.  A single distance may vanish by chance."""
 
 
 class CarriedField(Protocol):
@@ -59,18 +60,19 @@ class CarriedField(Protocol):
         """Begin a step, or repeat it: forget the stages."""
 
     def stage(self, weights: np.ndarray, share: float) -> None:
-        """Follow a stage, which is the present state; ``weights`` of y_0, y_1, ... make its start value.
+        """Follow a stage, whose solution is the present state.
 
-        ``share`` is the stage's b_i, the weight of its measured values in the step's mean.
+        ``weights`` are the weights of y_0, y_1, ... in the stage's start value; ``share`` is the stage's b_i,
+        the weight of its measured values in the step's mean.
         """
 
     def end(self, weights: np.ndarray) -> None:
-        """Accept the step; ``weights`` of y_0, y_1, ... make its end."""
+        """Accept the step; ``weights`` are the weights of y_0, y_1, ... in the step's end."""
 
 
 @dataclass(frozen=True)
 class StepTaken:
-    """The exchange of energy and momentum in a step, besides the state that it left.
+    """Exchange of energy and momentum in a step, and data about the step's solution.
 
     ``tau`` is the step's length, s; ``history`` lists the attempts; ``rates`` are dissipations and powers, W,
     weighted by the scheme; ``numerical`` has R and the limiter's energy by ledger columns, J; ``limited``
@@ -289,7 +291,7 @@ class Integrator:
         """Impulse of the walls that follows from the density before limiting.
 
         The result is ``otherwise`` if no velocity follows from this density.  The method is called only at
-        combined ends: at the end of a stage, the rows of the step hold already.
+        combined ends: an end that is a stage's solution satisfies the rows of v already.
         """
         kept = self._velocity.v.copy()
         try:
@@ -331,8 +333,8 @@ class Integrator:
         """Set the state u_0 + omega (U - u_0) with R = 0.  Return omega, R and the limiter's energies by
         columns, rates, and the number of limited cells.
 
-        Omega is ``share`` if R is at rounding there too, or if the limiter takes energy. Omega is 2 if B(u_0,
-        U) is at rounding, and if ``share`` is None while the limiter takes energy.
+        If the limiter takes energy, omega is ``share``, or 2 if ``share`` is None.  Otherwise omega is 2 if
+        B(u_0, U) is at rounding, and ``share`` if R is at rounding for this omega.
         """
         from_start = self.distance(*states)
         distance, noise = sum(from_start.values()), self._noise(states[0])

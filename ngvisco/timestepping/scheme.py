@@ -37,7 +37,8 @@ _ROUNDING = 1e-12
 class TimeScheme:
     """A diagonally implicit Runge-Kutta scheme.
 
-    Raises ParameterError for a tableau that is not diagonally implicit.
+    Raises ParameterError for a wrong type, for a matrix that is not lower triangular with a positive
+    diagonal, and for weights whose sum is not 1.
 
     Parameters
     ----------
