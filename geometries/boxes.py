@@ -63,7 +63,7 @@ def box(
     Raises
     ------
     ParameterError
-        If a length is not a finite positive number, or their number is not 2 or 3.
+        If a length is not a finite positive number, or there are not two or three lengths.
     """
     lengths = [("size", length) for length in box_lengths("box", size)]
     return _box("box", lengths, maxh, periodic, refine, split_corners)
@@ -140,8 +140,8 @@ def block_with_hole(
     radius : float
         Radius of the hole, less than half of the edges across the hole.
     fillet : float
-        Radius of the box's rounded corners (2D), or edges and corners (3D), less than half of the edges; 0
-        leaves them sharp.
+        Radius of the box's rounded corners (2D), or edges and corners (3D), less than half of each edge; with
+        0 edges and corners stay sharp.
     order : int
         Polynomial order of curved cells.
     size, maxh, refine, split_corners
@@ -213,7 +213,7 @@ def _block(lengths: Sequence[float]) -> Any:
 
 
 def _rounded(shape: Any, lengths: Sequence[float], fillet: float) -> Any:
-    """Round all corners or edges of the box; its walls keep their names, new ones are called ``fillet``."""
+    """Round all corners or edges of the box; walls keep their names, and new walls are called ``fillet``."""
     if len(lengths) == 2:
         path = occ.WorkPlane().MoveTo(fillet, 0)
         for length in (*lengths, *lengths):
@@ -256,8 +256,8 @@ def structured_box(
     cells : as many whole numbers
         Number of rows of cells along each direction, >= 1.
     grading : mapping of directions to numbers from 1e-6 to 1e6, optional
-        Ratio of the last row's length to the first row's, by direction, from 1e-6 to 1e6; lengths between
-        form a geometric sequence; by default 1.
+        Ratio of the last row's length to the first row's, by direction, from 1e-6 to 1e6; by default 1.  The
+        lengths of the rows form a geometric sequence.
     crossed : bool
         Whether rectangles have both diagonals, in two dimensions.  With k = 1 and m = 0 rectangles with one
         diagonal lock if K is much larger than G.

@@ -62,7 +62,7 @@ def load(
     Raises
     ------
     MeshError
-        If the file is missing, cut short, unreadable or holds no volume cells.
+        If the file is missing, cut short or unreadable, or has no volume cells.
     ParameterError
         If the file's name has another ending, or maxh is missing.
     """

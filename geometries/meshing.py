@@ -108,9 +108,11 @@ class Domain:
     lengths : list of float
         Sizes in this unit.
     is_round : bool
-        Whether the domain has curved walls, which later refinement and curving of a mesh needs.
+        Whether the domain has curved walls.  Its mesh then keeps the geometry, which later refinement and
+        curving need.
     is_delicate : bool
-        Whether lengths differ so much that Netgen may crash, and is first tried in a separate process.
+        Whether lengths differ so much that Netgen may crash.  Netgen is then first tried in a separate
+        process.
     """
 
     def __init__(
@@ -249,7 +251,7 @@ OCCGeometry(shape, dim=int(dim)).GenerateMesh(maxh=float(maxh), parallel_meshing
 
 
 def refine_walls(mesh: Mesh, names: Iterable[str], times: int = 1) -> Mesh:
-    """Bisect the cells that touch the named walls ``times`` times, for a layer graded towards the walls.
+    """Bisect ``times`` times the cells that touch the named walls; cells are then graded towards the walls.
 
     Each bisection halves the height of the cells at a wall and their size along it.  So the cells keep their
     shape, unlike the flat cells of a layer extruded from the wall.  The mesh is changed in place, curved as

@@ -29,7 +29,7 @@ class NgviscoError(Exception):
     Attributes
     ----------
     key : str
-        The parameter at fault, e.g. ``"NeoHookean.G_e"``, ``"walls['top'].f"``; empty where none is.
+        The parameter at fault, e.g. ``"NeoHookean.G_e"``, ``"walls['top'].f"``; empty if there is none.
     """
 
     key = ""
@@ -173,8 +173,8 @@ class Quantity(NamedTuple):
     example : value, optional
         Example for a case file, for a parameter without default.
     mean : str
-        Mean of a modulus in a cell where it jumps (``ngvisco.physics.parameters``); "" is the geometric mean
-        for a range > 0, and the mean by a root for a range that includes 0.
+        Mean of a modulus in a cell in which the modulus jumps (``ngvisco.physics.parameters``).  "" stands
+        for the geometric mean if the range is > 0, and for the mean by a root if the range includes 0.
     """
 
     unit: str = ""

@@ -9,7 +9,7 @@ not evaluate the text, so that a case file or an integrand of ``Integrals`` cann
 * ``a if condition else b`` (or ``where(condition, a, b)``), with conditions that are comparisons
   ``< <= > >=`` (also chained) joined by ``and``, ``or``, ``not``.
 
-Energies of case files (``ngvisco.case.laws``) have scalars and 3x3 tensors, with functions of both.
+An energy in a case file (``ngvisco.case.laws``) contains scalars, 3x3 tensors, and functions of both.
 
 A region (``parse_region``) is a condition, ``"(x - 0.6)**2 + y**2 < 0.04 and y < 0.6"``; a text without a
 comparison, ``"x - 0.5"``, is refused.
@@ -89,8 +89,10 @@ def parse(text: str, fields: Collection[str] = ()) -> Expression:
 
 
 def parse_region(text: str) -> Expression:
-    """Check the text of a region; its coefficient function is positive inside, and continuous where
-    comparisons change: ``a < b`` is b - a, ``and`` the minimum, ``or`` the maximum, ``not`` the negative.
+    """Check the text of a region.  Its coefficient function is positive inside the region.
+
+    The function is continuous across the region's surface: ``a < b`` stands for b - a, ``and`` for the
+    minimum, ``or`` for the maximum, and ``not`` for the negative.
 
     Raises ExpressionError as ``parse``, and for a text that is no condition.
     """
@@ -181,13 +183,13 @@ _USES = {
     "sym": 2,
     "norm2": 2,
 }
-"""Least number of times that the value of a function contains its arguments."""
+"""Least number of times that the formula of a function contains the function's arguments."""
 
 
 class Evaluator:
     """Evaluates constant parts of a tree as floats, and other parts as coefficient functions.
 
-    With ``of_tensors`` an expression may have tensors too, and coefficient functions or arrays as values.
+    If ``of_tensors`` is True, an expression may contain 3x3 tensors, and names may also stand for arrays.
 
     Attributes
     ----------
@@ -435,7 +437,7 @@ FUNCTIONS_OF_TENSORS: dict[str, tuple[int, Callable[..., float] | None, Callable
     "sph": (1, None, sph),
     **{name: FUNCTIONS[name] for name in ["exp", "log", "sqrt", "abs", "sinh", "cosh", "tanh", "min", "max"]},
 }
-"""Functions of tensors, described as in ``FUNCTIONS``; they have no version for numbers."""
+"""Functions in expressions with tensors, as in ``FUNCTIONS``; a function of tensors has None for numbers."""
 
 
 def _smaller(a: Any, b: Any) -> Any:

@@ -1,7 +1,8 @@
 """Printing of warnings: each warning of ngvisco appears once, without its place in the code.
 
-Python prints a warning with the file and the source line of its caller, which for ngvisco are inside the
-package, and prints it again if a filter has changed meanwhile.  Other warnings are printed as before.
+Python prints a warning with the file and the source line that raised the warning.  For ngvisco these are
+inside the package.  Python also repeats a warning if a filter has changed meanwhile.  Other packages'
+warnings are printed as before.
 Filters, ``pytest.warns`` and ``warnings.catch_warnings(record=True)`` see every warning as usual.
 """
 
@@ -21,8 +22,8 @@ class Notices:
     ----------
     say : callable
         Function that shows a warning, given its text and category.
-    others : callable
-        The ``warnings.showwarning`` for other warnings than ngvisco's.
+    fallback : callable, optional
+        The ``warnings.showwarning`` for all other warnings; by default the present one.
     """
 
     def __init__(

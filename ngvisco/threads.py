@@ -2,9 +2,9 @@
 
 NGSolve's task threads wait actively and compete with threads of the BLAS for cores (measured beside other
 work on two cores: the swirl demo takes 9 min 52 s with both, 2 min 10 s with one BLAS thread).  Work on
-arrays must not compete with NGSolve's workers, so ``on_arrays`` ends them.  If ``on_arrays`` suspended the
-workers, calls of NGSolve would wait for them: a solution with a factorisation of 2,754 unknowns would take
-6.6 ms instead of 0.2 ms.
+arrays must not compete with NGSolve's workers, so ``on_arrays`` ends the package's workers.  If ``on_arrays``
+only suspended these workers, calls of NGSolve would wait for them: a solution with a factorisation of 2,754
+unknowns would take 6.6 ms instead of 0.2 ms.
 
 After the import of this package, NGSolve has one thread, unless ``NGS_NUM_THREADS`` is set or the caller
 calls ``SetNumThreads`` afterwards.  With one thread, a resumed run is the uninterrupted one bit for bit, and
@@ -51,9 +51,9 @@ def computing() -> Iterator[None]:
 
 @contextmanager
 def on_arrays() -> Iterator[None]:
-    """Context in which NGSolve uses one thread, which also makes factorisations reproducible to the bit.
+    """Context in which NGSolve uses one thread; factorisations are then reproducible to the bit.
 
-    Workers of the caller's task manager are suspended.
+    If the caller's task manager runs, its workers are suspended.
     """
     if not _managers:
         with SuspendTaskManager():
@@ -79,7 +79,7 @@ ALONE = RLock()
 
 
 class Workers:
-    """Threads that share the parts of a mesh and work on arrays alone."""
+    """Threads that divide the parts of a mesh among themselves, and compute with arrays."""
 
     def __init__(self, threads: int | None = None, beside: int = 1) -> None:
         """Start the threads. Their default number is ``NGVISCO_THREADS``, or the number of processors divided
@@ -91,7 +91,7 @@ class Workers:
         self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
 
     def map(self, work: Callable[[_Part], _Result], parts: Sequence[_Part]) -> list[_Result]:
-        """Results of ``work`` for every part, in order.  This thread works too; it takes the first part."""
+        """Results of ``work`` for every part, in order.  The calling thread takes the first part."""
         if self._pool is None or len(parts) < 2:
             return [work(part) for part in parts]
         results, left = dict[int, _Result](), iter(range(1, len(parts)))

@@ -1,4 +1,4 @@
-"""Names and values of Python in messages, kept as data because a case file has words of its own for them."""
+"""Messages that keep Python's names and values as data, so that a case file's words can replace them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Mention:
-    """A parameter, class or function that a message names; a case file has another name for it.
+    """A parameter, class or function in a message, for which a case file has another name.
 
     Attributes
     ----------

@@ -1,8 +1,8 @@
 """Cholesky's factorisation of a sparse symmetric matrix as a band.
 
 Unknowns are numbered by the reverse Cuthill-McKee method.  LAPACK factorises the band by products of dense
-blocks: up to some thousand unknowns this takes a fraction of the time of a sparse factorisation, although
-the band may have more entries than sparse factors.
+blocks.  For up to some thousand unknowns, this factorisation takes a fraction of the time of a sparse
+factorisation, although the band may have more entries than sparse factors.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ LARGEST = 50_000_000
 
 
 class Band:
-    """The factorisation in the precision of ``dtype``; ``entries`` is the band's size."""
+    """A symmetric matrix as a band, and its factorisation; ``entries`` is the band's number of entries."""
 
     def __init__(self, matrix: sp.csr_matrix) -> None:
         """``matrix`` has a symmetric pattern; only entries on one side of the diagonal are read."""

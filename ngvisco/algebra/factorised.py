@@ -29,8 +29,8 @@ _ENOUGH = 1e-3
 this bound."""
 
 DROPPED = 3e-2
-"""Sweeps omit entries below this fraction of the diagonal, which are four fifths of all entries. GMRES takes
-no more iterations than with all entries."""
+"""Sweeps omit entries below this fraction of the diagonal: four fifths of all entries. GMRES takes no more
+iterations than with all entries."""
 
 _PARTS = 16
 """Number of parts into which the rows of fine functions are divided. Entries that are dropped take memory

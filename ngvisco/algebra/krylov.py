@@ -24,9 +24,10 @@ def gmres(
     """Solve |right - operator(x)| <= ``rtol`` |right| by GMRES.  Return x and the number of directions.
 
     At most ``directions`` directions are made, and x has the least residual in their span.  The classical
-    Gram-Schmidt method makes each direction orthogonal to the earlier ones.  The method is repeated if the
-    remainder is small, so that a direction takes one or two reductions over ranks.  SciPy's GMRES cannot add
-    up products over ranks.  The values of x are NaN if the right-hand side or a product is not finite.
+    Gram-Schmidt method makes each direction orthogonal to the earlier ones.  This step is repeated if the
+    orthogonal component is small, so that a direction takes one or two reductions over ranks.  SciPy's GMRES
+    cannot add up products over ranks.  The values of x are NaN if the right-hand side or a product is not
+    finite.
     """
     size = float(np.sqrt(products(right[None], right)[0]))
     if size == 0:

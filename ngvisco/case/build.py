@@ -107,7 +107,10 @@ class Case:
 
     @property
     def hash(self) -> str:
-        """SHA-256 of all parts that the solution depends on, without title, end time and output."""
+        """SHA-256 of the parts on which the solution depends, without title, units, end time and output.
+
+        Of the domain, it contains only refinement and symmetry; ``versions.json`` has a hash of the mesh.
+        """
         data = self._settled()
         for table in _tables_of_files(data):
             table["path"] = _digest_of(Path(table["path"]))
@@ -127,10 +130,10 @@ class Case:
         return {_copy_of(file): file for file in (Path(table["path"]) for table in tables)}
 
     def _settled(self) -> dict[str, Any]:
-        """The case's data, with defaults that depend on the model.
+        """The case's data, in which the defaults that depend on the model are filled in.
 
-        These are the material's elastic state, F or B, and the initial density of a material without a
-        referential density.
+        These defaults are the material's elastic state, F or B, and the initial density of a material without
+        a referential density.
         """
         data = self.sections.model_dump()
         if self.sections.material is None:
@@ -184,7 +187,7 @@ class Case:
             return Model(**parts).at_order(sections.discretisation.m)
 
     def _check_place(self, dim: int) -> None:
-        """Raise CaseError for a text that reads z in two dimensions."""
+        """Raise CaseError for an expression or condition with z if the mesh has two dimensions."""
         for path, part in sections_in(self.sections) if dim == 2 else ():
             for name, kind in values_of(type(part)).items():
                 place, value = (*path, name), getattr(part, name)
@@ -222,8 +225,8 @@ class Case:
         return run
 
     def check_end(self, run: Simulation) -> None:
-        """Raise CaseError unless a step of the simulation ends at the end time, or the state is a later
-        one."""
+        """Raise CaseError if the end time lies ahead of the state, and no step of the simulation ends at the
+        end time."""
         with self.locator.located("time"):
             if self.until > run.t:
                 run.stepper.check("until", self.until)
@@ -240,7 +243,7 @@ class Case:
     def observers(self, directory: AnyPath, times: Sequence[float] | None = None) -> list[Observer]:
         """The observers for ledger, VTK series, tables and, last, checkpoints in a run directory.
 
-        ``times``, s, are the ``output_times`` of the run, by default of a run from t = 0 to the end time.
+        ``times``, s, are the run's output times; the default is ``output_times`` from t = 0 to the end time.
         """
         out, vtk, checkpoint = Path(directory), self.sections.output.vtk, self.sections.output.checkpoint
         chosen: list[Observer] = [LedgerCSV(out / "ledger.csv")]
@@ -274,7 +277,10 @@ def _settle_state(values: dict[str, Any], material: Any) -> None:
 
 
 def _tables_of_files(data: Any) -> list[dict[str, Any]]:
-    """The tables in a case's data whose files a run directory copies: of shapes and Python materials."""
+    """The tables of a case's data that name the file of a shape or of a Python material.
+
+    A run directory has copies of these files.
+    """
     tables = (node for _, node in nodes(data) if isinstance(node, dict) and "path" in node)
     return [table for table in tables if "geometry" not in table]  # the mesh is stored as mesh.vol
 

@@ -70,7 +70,7 @@ FLOW_RULE_WRAPPERS: Kinds = {
     "WLF": activation.WLF,
     "Composite": flow_rules.Composite,
 }
-"""Flow rules that wrap other rules: the rules above and the wrappers before."""
+"""Flow rules that wrap one or more of the rules above and of the wrappers before them."""
 VISCOSITIES: Kinds = {
     "StokesViscosity": rheology.StokesViscosity,
     **_of(rheology, "Carreau Cross LinearViscosity PowerLaw"),

@@ -69,9 +69,10 @@ class RunDirectory:
 
     @contextlib.contextmanager
     def locked(self) -> Iterator[None]:
-        """Lock the directory, made if missing; raises RunDirectoryError if another process has locked it.
+        """Lock the directory, and create it if it is missing.
 
-        The lock file exists only while the lock is held, and a created directory that stays empty is removed.
+        Raises RunDirectoryError if another process has locked the directory.  The lock file exists only while
+        the lock is held.  A created directory that stays empty is removed.
         """
         if self.path.exists() and not self.path.is_dir():
             message = f"{self.path}: this is a file; expected a directory (a missing directory is created)"
@@ -96,8 +97,10 @@ class RunDirectory:
             path.unlink()
 
     def keep_failure(self) -> None:
-        """After a run that made no step, remove all its files but the report, so that the corrected case can
-        run here."""
+        """Remove all files of a run that made no step, except for the report of its failure.
+
+        The corrected case can then run in this directory.
+        """
         for path in self.results:
             path.unlink()
         for folder in (self.vtk, *(self.path / name for name in ("samples", "shapes", "laws"))):

@@ -63,7 +63,7 @@ _WORDS = {
 
 @dataclass
 class Locator:
-    """Finds the keys of a case, and their lines in its file, to which errors refer.
+    """Finds the keys of a case to which errors refer, and the lines of these keys in the file.
 
     Attributes
     ----------
@@ -88,8 +88,8 @@ class Locator:
     sections: Any = None
 
     def written(self, path: tuple[str, ...], value: object) -> object:
-        """The text, array or table of a key from which an object or a number ``value`` was made; else
-        ``value``."""
+        """The value of a key as the file has it, if ``value`` is an object, or if the file has a text that
+        was not converted to SI units; otherwise ``value``."""
         text = given(self.data, path)
         is_plain = isinstance(value, (int, float, str, list))
         is_its_text = isinstance(text, str) and (path[-1], text) not in self.converted
@@ -242,7 +242,7 @@ forms."""
 def _resolve(
     model: type[Section], location: tuple[Any, ...]
 ) -> tuple[tuple[str, ...], str, list[str], list[str]]:
-    """Key path without the unions' tags, the table that holds the key, its keys, and keys within the key."""
+    """Key path without unions' tags, the table that holds the key, the table's keys, and keys in the key."""
     path: list[str] = []
     models, here, keys = [model], "the case", list(model.model_fields)
     for part in location:
@@ -291,6 +291,6 @@ _ALIASES = {
 
 
 def _aliased(names: list[str]) -> list[str]:
-    """The names in a parameter's name, with the key of ``_ALIASES`` in place of the first ones."""
+    """The names in a parameter's name; a key of ``_ALIASES`` replaces the names at the front."""
     length = next((length for length in (2, 1) if ".".join(names[:length]) in _ALIASES), 0)
     return [*_ALIASES.get(".".join(names[:length]), ()), *names[length:]]

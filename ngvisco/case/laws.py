@@ -135,10 +135,10 @@ def custom_material(
         Numbers that the energy reads by name, without conversion of units.
     per : str
         Measure to which the energy refers: "volume" (actual), "referential volume" or "mass"; with
-        "referential volume" and "mass" the carried variables are the tensors over J, and A = 1/J.
+        "referential volume" and "mass" the carried variables are the tensors divided by J, and A = 1/J.
     rho_R : float, optional
-        Density where J = 1, needed by an energy per mass.  The density where J = 1 determines the initial
-        density from J, or J from the density.
+        Density where J = 1, needed by an energy per mass.  This density determines the initial density from
+        the initial J, or the initial J from the initial density.
     """
     carried = tuple(_variable(text) for text in require_names("Custom.variables", variables))
     for name in {v.name for v in carried} & set(_RESERVED):

@@ -30,9 +30,9 @@ from ngvisco.run import passive
 
 @dataclass(frozen=True)
 class KeyEntry:
-    """One key of the reference; ``kinds`` are the kinds of the section that have the key, empty for all.
+    """One key of the reference; ``kinds`` are the kinds of the section that have the key.
 
-    A table of keys has no example.
+    ``kinds`` is empty if all kinds have the key.  A table of keys has no example.
     """
 
     path: tuple[str, ...]
@@ -81,7 +81,7 @@ def entries() -> tuple[KeyEntry, ...]:
 
 @cache
 def _same_keys() -> dict[tuple[str, ...], tuple[str, ...]]:
-    """Tables that have the keys of another table, by path, with the other table's path."""
+    """Path of each table that has the keys of another table, with the path of that other table."""
     of_model = places(CaseSections)
     tables = [
         ((*path, *way), inner) for model, path in of_model.items() for way, inner in inner_tables(model)
@@ -98,7 +98,7 @@ def _listed(user_path: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _walk(models: Sequence[type[Section]], path: tuple[str, ...]) -> Iterator[KeyEntry]:
-    """Yield the keys of a table, which is one of several sections, and of the tables in it."""
+    """Yield the keys of a table and of its inner tables; the table is a section of one of the ``models``."""
     tag = next((tag for tag in TAGS if tag in models[0].model_fields), None)
     if tag is not None:
         names = [model.__name__ for model in models]
@@ -166,7 +166,7 @@ def explain(path: str) -> str:
     ----------
     path : str
         Path as in messages and in ``--set``, ``time.dt``, ``walls.top.velocity``, ``loads.0.g``,
-        ``material``, or a kind, ``NeoHookean``, ``material.NeoHookean``; upper and lower case are equal.
+        ``material``, or a kind, ``NeoHookean``, ``material.NeoHookean``; case is ignored.
     """
     every = entries()
     user_path = _listed(tuple(part for part in path.strip().strip(".").split(".") if part))

@@ -239,11 +239,12 @@ def _mesh_of_first(case: Case, ranks: Communicator, make: Callable[[], Mesh]) ->
 
 
 def _check_times(case: Case, run: Simulation, until: float | None = None, *, is_new: bool = False) -> None:
-    """Raise ParameterError for an end at which no step ends, or that the run has already reached. Raise
-    CaseError instead if the end time is the end time of the case. The end of a new run is later than its
-    start.
+    """Raise ParameterError for an end time at which no step ends, or which the run has already passed.
 
-    The case's end time is also checked beside a given end, so that the run can be resumed without one."""
+    If ``until`` is None, the end time is the case's, and the error is a CaseError.  A new run must end later
+    than it starts.  The case's end time is checked even if ``until`` is given, so that the run can later be
+    resumed without ``until``.
+    """
     end = case.until if until is None else run.stepper.met(until)
     with contextlib.nullcontext() if until is not None else case.locator.located("time"):
         if run.t > end * (1 + 1e-12) or (is_new and run.t >= end * (1 - 1e-12)):

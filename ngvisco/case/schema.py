@@ -158,7 +158,7 @@ BodySection: Any = section(
 
 
 class _Series(Section):
-    """The keys of the VTK series that say when it is written."""
+    """The keys of the VTK series that say when the series is written."""
 
     enabled: bool = Field(True, description="Whether the VTK series is written")
     interval: Annotated[float | None, Quantity("s", "> 0", 0.1)] = Field(
@@ -189,7 +189,7 @@ class _AtPoint(_Named):
 
 
 class _OfExpression(_Named):
-    """The keys of a table of the integral of an expression of the fields."""
+    """The keys of a table that lists the integral of an expression of the fields over the domain."""
 
     of: Annotated[str, Quantity(example="density*velocity_1")] = Field(
         description="An expression of x, y, z, t and fields' components"

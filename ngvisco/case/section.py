@@ -154,8 +154,9 @@ def section(
 
     ``tag`` is a key and the value that chooses this section, such as ``("kind", "NeoHookean")``; the key may
     be left out if ``is_default`` is True.  ``types`` gives the schema's types for parameters that are
-    laws.  ``base`` adds further keys, ``without`` names parameters that are no keys, and ``defaults`` has
-    other defaults.  If ``is_whole`` is False, the section alone does not suffice to make the object.
+    laws.  ``base`` adds further keys, ``without`` names parameters that are no keys, and ``defaults``
+    replaces defaults of the target.  If ``is_whole`` is False, the section alone does not suffice to make the
+    object.
     """
     types = {**_TYPES, **types}
     # get_type_hints resolves the fields' hints by the names in the module of each class
@@ -350,11 +351,12 @@ def choice(
     of: Callable[[Any], Mapping[Any, Any]] = lambda held: {},
     without: Mapping[str, Collection[str]] = MappingProxyType({}),
 ) -> Any:
-    """The choice by the value of ``key`` among the sections of a table, which also have the keys of ``base``.
+    """The type of a value that is a section of one of several kinds; the value of ``key`` names the kind.
 
-    With ``has_default``, the first section needs no ``key``. ``wrappers`` are kinds that hold a ``law``,
-    which may be of any kind before the wrapper. ``of`` gives the types of further parameters that hold such
-    laws. Parameters in ``without`` are no keys.
+    ``table`` has the class or function of each kind.  Every section also has the keys of ``base``.  If
+    ``has_default`` is True, the first kind needs no ``key``.  ``wrappers`` are kinds with a parameter of the
+    type ``law``; this parameter may be of any kind before the wrapper.  ``of`` gives the types of further
+    parameters that hold such laws.  ``without`` names parameters that are no keys, by kind.
     """
     first = next(iter(table)) if has_default else None
 

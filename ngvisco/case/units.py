@@ -236,7 +236,7 @@ class _Scaled(ast.NodeTransformer):
 def key_and_unit_of(
     name: str, sections: Section, numbers: Mapping[str, float] | None = None
 ) -> tuple[str, str]:
-    """The key and the SI unit of the number that a parameter of a run has in a case.
+    """The key of a case for a parameter of a run, and the SI unit of the key's number.
 
     ``name`` is a name of ``sensitivity.parameters``; it may also begin with a key of ``[rheology]``, and
     contain the name of a body in place of its index. The unit is empty for pure numbers and for names that

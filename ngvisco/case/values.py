@@ -26,13 +26,14 @@ class ValueKind:
     Attributes
     ----------
     words : str
+        The kind in words, for the reference of the keys.
     check : callable
         Returns the value, or raises ValueError if it is not of this kind.
     made : callable
         Makes the object that a value describes; returns the value if the object needs more than the value.
     is_field : bool
         Whether the value is a number, or a function of place and time, or a table of functions by name.
-    json : arguments
+    json : dict
         The JSON Schema.
     """
 
@@ -51,7 +52,7 @@ class ValueKind:
 
 
 def is_table(value: Any) -> bool:
-    """Whether a value is a table of time, with numbers in place of the name of a file."""
+    """Whether a value is a table of times and values; numbers have replaced the name of a file."""
     return isinstance(value, dict) and set(value) == {"times", "values"}
 
 
@@ -77,7 +78,7 @@ def _scalar(value: Any) -> Any:
 
 
 def _vector(value: Any) -> Any:
-    """Check an array of components, each possibly a table of time, or one table of time for all."""
+    """Check an array of components, each of which may be a table of times, or one table for all of them."""
     if is_table(value):
         table(value["times"], value["values"])
         return value

@@ -77,7 +77,7 @@ def _compare(options: argparse.Namespace, runs: dict[str, Path]) -> int:
 
 
 def scene(options: argparse.Namespace) -> int:
-    """Write one HTML file into the run directory, of all states in the VTK series or of one checkpoint."""
+    """Write an HTML file into the run directory, with all states of the VTK series or with one checkpoint."""
     place = RunDirectory(options.directory)
     path, title = place.path / "scene.html", place.case().sections.title or "ngvisco"
     if options.step is None and read_pvd(place.vtk / "fields.pvd"):

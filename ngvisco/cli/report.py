@@ -27,7 +27,7 @@ from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.timestepping.scheme import SCHEMES
 
 _STEPS, _SECONDS = 12, 30.0
-"""Numbers of steps and of seconds after which the estimate of the time ends."""
+"""Largest numbers of steps and of seconds of the measurement for the estimate of the time."""
 
 
 def check(options: argparse.Namespace) -> int:
@@ -116,9 +116,10 @@ def _measure(
 ) -> tuple[float, float, int, tuple[float, int] | None]:
     """Take the first steps of a case, with its observers, in a directory that is removed.
 
-    Returns the seconds of the first step, the median of later steps, and the number of later steps; then the
-    seconds of a file of the VTK series and the number of files, or None without a series. The median is taken
-    since a single step may need ten times as many iterations as the others.
+    Returns the seconds of the first step, the median of the seconds of later steps, and the number of all
+    measured steps.  The last value has the seconds of a file of the VTK series and the number of files; it is
+    None without a series.  The median is taken, since one step may need ten times as many iterations as the
+    others.
     """
     with tempfile.TemporaryDirectory() as place:
         observers, watch = case.observers(Path(place)), Stopwatch(min(_STEPS, steps), _SECONDS)

@@ -1,5 +1,5 @@
-"""The commands ``ngvisco gradient`` and ``ngvisco fit``: derivatives by numbers of a case, and fits to
-data."""
+"""The commands ``ngvisco gradient`` and ``ngvisco fit``: derivatives with respect to numbers of a case, and
+fits to data."""
 
 import argparse
 import shlex
@@ -32,7 +32,7 @@ Computed = TypeVar("Computed")
 
 
 def gradient(options: argparse.Namespace) -> int:
-    """Differentiate results of a case by some of its numbers, and write the derivatives."""
+    """Differentiate results of a case with respect to some of its numbers, and write the derivatives."""
     case, simulation = _simulation(options)
     out = _directory(options, "gradient.csv", "gradient")
 
@@ -89,7 +89,7 @@ def fit(options: argparse.Namespace) -> int:
 def _stoppable(
     compute: Callable[..., Computed], simulation: Simulation, *arguments: Any, **options: Any
 ) -> tuple[Computed | None, int]:
-    """Return a function's result for a simulation, None after a stop by a signal, and the exit code."""
+    """The result of ``compute`` for a simulation, or None if a signal stopped it, and the exit code."""
     with Stopping(simulation.request_stop) as signals:
         try:
             return compute(simulation, *arguments, **options), DONE
@@ -116,8 +116,10 @@ def _simulation(options: argparse.Namespace) -> tuple[Case, Simulation]:
 
 
 def _require_keys(names: list[str], case: Case, simulation: Simulation) -> None:
-    """Raise ParameterError, or UnknownNameError with the case's keys, for a name that is not the name of a
-    number of the run."""
+    """Raise an error unless each name belongs to a number of the run.
+
+    The error is a ParameterError, or an UnknownNameError for a name that is no key of the case.
+    """
     for name in names:
         try:
             Named.of(name, simulation)

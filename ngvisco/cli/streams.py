@@ -31,7 +31,7 @@ _silent = False
 
 
 def be_silent() -> None:
-    """Drop all later output and messages, as another rank prints them."""
+    """Drop all later output and messages, because the first rank prints them."""
     global _silent
     _silent = True
 

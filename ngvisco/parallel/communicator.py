@@ -1,8 +1,9 @@
 """Reductions over the ranks of a mesh; on one process a reduction returns its argument at no cost.
 
 The first rank has no cells.  Sums over cells are reduced among the other ranks, which send the result to the
-first rank and do not wait for it.  MPI's own waiting keeps a processor busy; with as many ranks with cells as
-processors this would slow one of them down.  Therefore the first rank polls, and sleeps in between.
+first rank without waiting for the first rank.  A rank that waits by MPI keeps a processor busy.  If there are
+as many ranks with cells as processors, the waiting first rank would slow down one of these ranks.  Therefore
+the first rank polls, and sleeps between polls.
 """
 
 from __future__ import annotations
@@ -43,8 +44,8 @@ class MPIError(NgviscoError, RuntimeError):
 
 @dataclass
 class Traffic:
-    """Numbers of this process's messages to neighbours, of their bytes, and of its reductions of a few
-    numbers each."""
+    """Numbers of this process's messages to neighbours, of the bytes in these messages, and of this process's
+    reductions."""
 
     messages: int = 0
     bytes: int = 0

@@ -253,7 +253,7 @@ class HaloUnknowns(Owned):
 
 
 _LEAST = 0.1
-"""Less than the share that ``Set`` keeps of a vertex's value: a cell has at most four vertices."""
+"""A bound below 1/4, the least share of a vertex's value that ``Set`` keeps, in cells of four vertices."""
 
 
 class Interpolation:

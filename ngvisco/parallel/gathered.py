@@ -1,7 +1,7 @@
-"""A small problem of all ranks, gathered on every rank, which solves all of it.
+"""A small problem of all ranks: every rank gathers and solves the whole problem.
 
 Each rank gets equal data in an equal order, and therefore equal bits of the solution, without a message in
-the solver.  The problem must be small beside a step, as one with a number at each vertex is.
+the solver.  The problem must be small compared with a step, such as a problem with one unknown per vertex.
 """
 
 import numpy as np
@@ -43,7 +43,7 @@ class Gathered:
         return self._joined(values, np.minimum, np.inf)
 
     def here(self, values: np.ndarray) -> np.ndarray:
-        """Values of this rank's unknowns, (unknowns,), from those of all, (count,)."""
+        """Values of this rank's unknowns, (unknowns,), from the values of all unknowns, (count,)."""
         return values[self._numbers] if self._is_distributed else values
 
     def _joined(self, values: np.ndarray, how: np.ufunc, start: float) -> np.ndarray:

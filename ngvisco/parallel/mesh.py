@@ -43,8 +43,8 @@ def distributed(mesh: Mesh | None, ranks: Communicator) -> Mesh:
     """Distribute the first rank's mesh by METIS, collectively; on one process return the mesh itself.
 
     Raises MeshError on every rank if the mesh is curved by no known geometry, if a facet has several images
-    across periodic boundaries, if the mesh has fewer cells than there are ranks for them, or if METIS leaves
-    one of these ranks without cells.
+    across periodic boundaries, if the mesh has fewer cells than there are ranks that need cells, or if METIS
+    leaves one of these ranks without cells.
 
     Parameters
     ----------
@@ -78,9 +78,9 @@ def distributed(mesh: Mesh | None, ranks: Communicator) -> Mesh:
 
 
 def _curve(part: MeshPart, whole: Mesh | None, ranks: Communicator) -> None:
-    """Curve the straight cells that NGSolve distributes by the geometry of the whole mesh; collective.
+    """Curve a part's cells by the geometry of the whole mesh, since NGSolve distributes straight cells.
 
-    Raises MeshError on every rank if volume or surface then differ from the whole mesh's.
+    Collective.  Raises MeshError on every rank if volume or surface then differ from the whole mesh's.
     """
 
     def shape() -> tuple[int, bytes, list[float]]:

@@ -1,8 +1,8 @@
 """PETSc for the linear systems: matrices with rows over the ranks, a direct solver and multigrid.
 
 ``Exchange.numbers`` of the free unknowns assigns the rows.  A matrix is the sum of the ranks' matrices, added
-in the ranks' order.  On several ranks the first one has no cells, hence no rows; it takes no part, because it
-would only keep a processor busy.
+in the ranks' order.  The first of several ranks has no cells, and hence no rows.  The first rank takes no
+part in solutions, because waiting for the other ranks would keep a processor busy.
 
 MUMPS over ranks adds contributions in the order in which messages arrive, so that its factors and solutions
 differ in the last digits from one run to the next.  Up to some thousand unknowns, one rank therefore has all
@@ -70,7 +70,7 @@ def packages() -> dict[str, bool]:
 
 
 def obstacle(method: str) -> str | None:
-    """Reason why PETSc lacks the linear solver ``"mumps"``, ``"gamg"`` or ``"hypre"``; None if it has it."""
+    """Reason why PETSc lacks the linear solver ``"mumps"``, ``"gamg"`` or ``"hypre"``, or None."""
     try:
         has = packages()
     except PETScError as error:
@@ -179,7 +179,7 @@ class SumInverse:
         return module.Mat().createAIJ(size=(self._size, self._size), csr=csr, comm=self._solving)
 
     def _of_owners(self, *entries: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-        """Collect (rows, columns, values) of this rank's rows from all ranks in order; with the first row."""
+        """Rows, columns, values of this rank's rows, from all ranks in order, and the first row's number."""
         ends, this_rank = np.cumsum(self._comm.allgather(self._size[0])), self._comm.rank
         owner = np.searchsorted(ends, entries[0], side="right")
         # only neighbours own rows of shared unknowns; `rank - 1` counts the ranks with cells

@@ -1,7 +1,8 @@
 """Signed distance from a shape's outline in the plane, as polynomials on the cells.
 
-In cells near the outline the level is interpolated linearly in sub-cells; its zeros are the straight pieces
-of the outline.  The distance is projected to discontinuous polynomials.  Its sign is that of the level.
+In cells near the outline the level is interpolated linearly in sub-cells.  The zeros of the interpolated
+level are straight pieces of the outline.  The distance has the sign of the level, and is interpolated by
+discontinuous polynomials.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from ngvisco.shapes.fractions import HasLevel, subdivision
 from ngvisco.shapes.places import Places
 
 _PIECES = 32
-"""Pieces of the edges of a cell with the outline."""
+"""Number of pieces into which the edges of a cell are divided if the outline crosses the cell."""
 _LOOKED_AT = 4
 """Number of pieces of a cell's edges; levels are tested at the ends of the pieces."""
 _NEAREST = 6
@@ -24,8 +25,8 @@ _NEAREST = 6
 def signed_distance(mesh: Mesh, shape: HasLevel, order: int) -> GridFunction:
     """Distance from the outline of a shape, > 0 inside, in discontinuous P_order; mesh of triangles.
 
-    At the outline the error is of second order in h/32, with the size h of a cell; at corners of the outline
-    the error is that of the projection.
+    At the outline the error is of second order in h/32, with the size h of a cell.  At corners of the outline
+    the error is the error of the interpolation.
     """
     cells, ranks = np.arange(mesh.ne), Communicator.of(mesh)
     outline = np.concatenate(ranks.gathered(_outline(mesh, cells, shape)))

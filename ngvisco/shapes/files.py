@@ -192,8 +192,9 @@ def _met(
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Intersections of triangles with the lines through points along ``ray``.
 
-    Yields numbers of n points, (n,); for triangles near their lines, 1 if the ray leaves the surface there or
-    -1 if it enters, (triangles,); and heights of intersections above the points, (n, triangles), m, or NaN.
+    Yields, for groups of n points, three arrays: the numbers of the points, (n,); the sense of each triangle
+    near their lines, (triangles,), 1 if the ray leaves the surface at the triangle and -1 if it enters; and
+    the heights of intersections above the points, (n, triangles), m, NaN without an intersection.
     """
     # points and triangles are sorted into squares of the plane normal to the lines, so that a line is
     # compared with few triangles
@@ -253,7 +254,8 @@ class Image(Shape):
     Parameters
     ----------
     path : path
-        PNG file, grey or in colours, relative to a case file; transparent pixels count as white.
+        PNG file, grey or in colours; a path in a case file is relative to the case file.  Transparent pixels
+        count as white.
     low : pair of numbers
         Lower left corner of the picture; the shape is empty outside the picture.
     high : pair of numbers
@@ -262,7 +264,7 @@ class Image(Shape):
         Grey, from 0 (black) to 1 (white), below which a point belongs to the shape; grey is interpolated
         between the middles of pixels.
     dark : bool
-        Whether the shape is the part darker than the threshold; if false, the brighter part.
+        Whether the shape is the part that is darker than the threshold; if false, it is the brighter part.
     """
 
     path: Annotated[str | os.PathLike[str], Quantity(example="part.png")]

@@ -3,8 +3,8 @@
 A cell cut by a surface is divided into sub-cells. In each sub-cell the level is interpolated linearly, and
 the positive share of a simplex is computed exactly. The interpolation cuts off edges and convex parts by the
 square of the sub-cells' size; shares in sub-cells of twice the size allow an extrapolation. The fraction is
-the L2 projection of the shares. Where the fraction leaves [0, 1], it is scaled towards its mean (Zhang, Shu),
-which keeps the volume of the shares.
+the L2 projection of the shares. Where the fraction leaves [0, 1], it is scaled towards its mean (Zhang, Shu);
+the scaling keeps the volume of the shares.
 
 Several shapes lie over each other like sheets of paper, the last one on top.  The fractions of all shapes and
 of the rest sum to one at every point.
@@ -40,7 +40,7 @@ _QUADRILATERALS = (11, 13, 14)  # Netgen's numbers of the element types
 
 
 class HasLevel(Protocol):
-    """A part of space by a function of place; see ``Shape``."""
+    """A part of space, given by a level that is positive inside; see ``Shape``."""
 
     def level(self, at: Places) -> np.ndarray: ...
 

@@ -157,7 +157,7 @@ class Block(Shape):
 
 @dataclass(frozen=True)
 class HalfSpace(Shape):
-    """The half-space behind a plane, on the side from which its normal points away.
+    """The half-space behind a plane; the plane's normal points out of the half-space.
 
     Raises ParameterError if a parameter is out of its range.
 
@@ -197,8 +197,8 @@ class Polygon(Shape):
     Parameters
     ----------
     points : three pairs of numbers at least
-        Corners, at least three, in either sense of rotation; the last is joined to the first, and edges must
-        not cross.
+        Corners, at least three, in either sense of rotation; the last corner is joined to the first, and
+        edges must not cross.
     """
 
     points: Annotated[tuple[tuple[float, float], ...], Quantity("m", example=[[0, 0], [1, 0], [0, 1]])]

@@ -46,7 +46,7 @@ class Outcome:
     name : str
         Name of the run's directory within the study's.
     values : dict of str
-        The varied keys.
+        Values of the varied keys, as texts.
     state : str
         ``"finished"``; ``"not closed"`` (finished, but the ledger does not close); ``"failed"``;
         ``"stopped"`` (before its end, with a checkpoint); ``"not started"``.
@@ -160,7 +160,7 @@ class Study:
 
     @property
     def unfinished(self) -> list[int]:
-        """Numbers of the runs before their end."""
+        """Numbers of the runs that have not reached their end."""
         return [number for number, outcome in enumerate(self.outcomes) if not outcome.is_finished]
 
     def run(

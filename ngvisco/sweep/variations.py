@@ -76,7 +76,7 @@ def _parted(values: str, text: str) -> list[str]:
 
 @dataclass(frozen=True)
 class Combination:
-    """One value for each varied key, and the name of the run directory, which depends on these alone."""
+    """One value for each varied key; the name of the run directory depends on these keys and values alone."""
 
     name: str
     values: dict[str, str]

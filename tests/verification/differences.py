@@ -38,7 +38,8 @@ class Coefficients:
 
     A, n and sigma are constants of ``FORCES``. nu is the factor of the creep rate's 4-Laplacian (Pi = R M if
     it is 0), g the second component of gravity, delta the factor of the density's 4-Laplacian, damping is
-    epsilon in epsilon |v|^2 v, kappa in the conductivity kappa theta^1.5; the entropy is in units of c.
+    epsilon in epsilon |v|^2 v, and kappa is the factor in the conductivity kappa theta^1.5.  The entropy is
+    in units of c.
     """
 
     K_e: float
@@ -92,7 +93,7 @@ class FiniteDifferences:
     """Residuals of the strong equations at points, by the exact fields and textbook formulas."""
 
     def __init__(self, kind: str, c: Coefficients, dim: int, t: float, tau: float) -> None:
-        """``kind`` is ``"linear"``, ``"neo-hookean"``, or ``"with heat"``, the latter material with heat."""
+        """``kind`` is ``"linear"``, ``"neo-hookean"``, or ``"with heat"``: neo-Hookean with heat."""
         self.kind, self.c, self.dim, self.tau = kind, c, dim, tau
         self.now, self.old = ({name: field(of, s) for name, of in EXACT.items()} for s in (t, t - tau))
 

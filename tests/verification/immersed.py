@@ -48,8 +48,11 @@ CAVITY = Problem(centre=(0.6, 0.5), radius=0.2, shear_modulus=0.1, viscosity=0.0
 
 
 def computed(problem: Problem, cells: int, times: np.ndarray, width: Width = 4) -> np.ndarray:
-    """Rows for the times, s, the first one 0, by N = ``cells`` and a kernel of ``width`` cells: time, the
-    disc's centroid x, y, m, and area, m^2, kinetic and elastic energy, J/m."""
+    """A row for each of the ``times``, s, the first of which is 0, on N = ``cells`` cells, with a kernel of
+    ``width`` cells.
+
+    A row has the time, the disc's centroid x, y, m, and area, m^2, and the kinetic and elastic energy, J/m.
+    """
     run = Immersed(problem, cells, width)
     rows = [run.row(0.0)]
     for start, end in pairwise(times):

@@ -21,13 +21,14 @@ import numpy as np
 _POINTS = np.array([[s, t] for s in (-1, 1) for t in (-1, 1)]) / np.sqrt(3)
 _CORNERS = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
 _COURANT, _DAMPING = 0.4, 0.06
-"""The step over the time of a wave through the least height of a cell; the bulk viscosity over rho c h."""
+"""Ratio of the step to the time of a wave through the least height of a cell, and ratio of the bulk viscosity
+to rho c h."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Metal:
-    """A metal: density, bulk and shear modulus, yield stress and slope of its hardening, in units of one
-    kind."""
+    """A metal: density, bulk and shear modulus, yield stress and slope of the hardening, in consistent
+    units."""
 
     density: float
     bulk: float
@@ -40,13 +41,13 @@ class ThrownBar:
     """The motion of a bar of a ``length`` and a half width or ``radius``, with its foot at the wall y = 0.
 
     ``x`` are the nodes' places and ``v`` their velocities, (nodes, 2); ``k`` is the plastic strain, (cells,
-    4).  ``worked`` is the heat of plastic flow, and ``damped`` that of the bulk viscosity.
+    4).  ``worked`` is the heat of plastic flow, and ``damped`` the heat of the bulk viscosity.
     """
 
     def __init__(
         self, metal: Metal, length: float, radius: float, speed: float, across: int, revolution: bool
     ) -> None:
-        """``across`` are the cells of the half width; those along the bar are nearly squares."""
+        """``across`` is the number of cells of the half width; the cells are nearly squares."""
         self.metal, self.revolution, self.time, self.worked, self.damped = metal, revolution, 0.0, 0.0, 0.0
         along = round(length / radius * across)
         i, j = np.meshgrid(np.arange(across + 1), np.arange(along + 1))
@@ -89,7 +90,7 @@ class ThrownBar:
 
     @property
     def stored(self) -> float:
-        """The elastic energy and that of hardening, over 2 pi for a body of revolution."""
+        """The elastic energy and the energy of hardening, over 2 pi for a body of revolution."""
         m, (_, volumes, _) = self.metal, self._mapped()
         J = volumes.sum(axis=1) / self._volumes.sum(axis=1)
         size = np.trace(self.b, axis1=2, axis2=3) - 3

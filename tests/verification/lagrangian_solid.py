@@ -1,11 +1,11 @@
 """The motion of a hyperelastic solid by another method, whose mesh moves with the solid.
 
-Displacements u in a space of vectors solve
+Displacements u in a space of vectors solve, in plane strain or in three dimensions,
 
     rho_0 dt v = Div P,  dt u = v,  P = psi'(F) + J D(L) F^{-T},  L = (Grad v) F^{-1},  F = I + Grad u,
 
-plane strain or in three dimensions, psi an energy per referential volume, D a Newtonian stress. Derived
-classes add forces. The time scheme is the implicit midpoint rule. The code shares no line with the package.
+where psi is an energy per referential volume, and D a Newtonian stress. Derived classes add forces.
+The time scheme is the implicit midpoint rule. The code shares no line with the package.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ iterations."""
 def neo_hookean(bulk: float, shear: float) -> Callable[[CF], CF]:
     """The energy K/2 (J - 1)^2 + G/2 (J^{-2/3} tr F^T F - 3) per referential volume, J/m^3.
 
-    In two dimensions the stretch in the third is one.
+    In two dimensions the stretch in the third direction is one.
     """
 
     def stored(F: CF) -> CF:
@@ -104,10 +104,10 @@ class LagrangianSolid:
             self._accept()
 
     def _iterate(self) -> None:
-        """Follow an iterate of Newton's method, ``_next``."""
+        """Hook for derived classes, called with each iterate of Newton's method in ``_next``."""
 
     def _accept(self) -> None:
-        """Follow a step."""
+        """Hook for derived classes, called after each step."""
 
     def _add_forces(self, form: BilinearForm, u: CF, w: CF) -> None:
         """Add further forces on the body, whose displacement at the end of the step is u, tested by w."""

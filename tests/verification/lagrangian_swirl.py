@@ -45,7 +45,8 @@ def factorised(blocks: Blocks, right: np.ndarray) -> tuple[np.ndarray, int]:
 class LagrangianSwirl:
     """The motion of the solid in the unit box, by steps of ``tau``, s.
 
-    ``iterations`` and ``directions`` count those of Newton's method and of the linear solver since the start.
+    Since the start, ``iterations`` counts the iterations of Newton's method, and ``directions`` the
+    iterations of the linear solver.
     """
 
     def __init__(

@@ -228,8 +228,10 @@ class Sources:
 
     @property
     def kinematics(self) -> CoefficientFunction:
-        """Residual (z - z_old)/tau + (v.grad) z - rate(z; L, Pi) - delta Laplace z, in components; the
-        entropy's is less the heating over theta."""
+        """Residual (z - z_old)/tau + (v.grad) z - rate(z; L, Pi) - delta Laplace z, in components.
+
+        The residual of the entropy also contains minus the heating over theta.
+        """
         new, old, model = self.new, self.old, self.model
         values, L = new.values, embed_gradient(new.grad_v, self.dim)
         material = model.material
@@ -273,7 +275,7 @@ class Sources:
         return hess, sum(h * h for component in hess for row in component for h in row)
 
     def _creep_rate(self, mechanism: CreepMechanism) -> CoefficientFunction:
-        """The creep rate Pi; a body's is by the Mandel stress per the body's own volume."""
+        """The creep rate Pi; a body's creep rate follows from the Mandel stress per volume of the body."""
         if not mechanism.rule.is_local:
             return self.new.Pi
         values, conjugates = self.new.values, self.new.conjugates
