@@ -28,12 +28,13 @@ from ngvisco.timestepping.scheme import TimeScheme, backward_euler, midpoint
 _FOLLOWED, _RELAXED, _ACROSS = 20, 5, 4
 """Sufficient numbers of steps in a wave's passage and in a relaxation time, and of cells across a body."""
 _RINGING, _STIFF, _DENSER = 10.0, 1e4, 1e2
-"""Numbers of cells that waves cross in a step, ratio of moduli, and ratio of densities, above which a step is
-hard to solve."""
+"""Number of cells that waves cross in a step, ratio of moduli, and ratio of densities; above these values a
+step is hard to solve."""
 _LOCKS = 10.0
 """Ratio of moduli above which cells of order one lock: with 20 a disc stands still in a fluid in which it
-sinks.  Cells with k = 2 damp flows above the same ratio of the modulus and rho v^2: with the ratios 10, 30,
-100 and 10,000 the vortices of Taylor and Green lose 0.8, 2.2, 3.1 and 3.7 % more energy than with k = 3."""
+sinks.  Cells with k = 2 damp a flow if the ratio of the modulus to rho v^2 is above the same value: with the
+ratios 10, 30, 100 and 10,000 the vortices of Taylor and Green lose 0.8, 2.2, 3.1 and 3.7 % more energy than
+with k = 3."""
 _SLOW = 100.0
 """Number of times that waves cross the domain in a step, above which inertia has no part in the motion."""
 _SINKS, _SMALL = 0.05, 0.01

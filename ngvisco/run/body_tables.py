@@ -140,7 +140,8 @@ class Bodies(Series):
     | ``NAME_volume`` | int theta, m^d |
     | ``NAME_x``, ``_y``, ``_z`` | centroid int theta x over the volume, m |
     | ``NAME_momentum_x``, ... | int rho_R n v, kg m/s |
-    | ``NAME_kinetic``, ``NAME_stored`` | kinetic, J; shear, n U(1) and theta times V's other terms, J |
+    | ``NAME_kinetic`` | kinetic energy, J |
+    | ``NAME_stored`` | shear energy, n U(1), and the share theta of all other stored energy, J |
     | ``NAME_dissipation`` | dissipation by viscosity and creep in the present (limited) state, W |
     | ``NAME_x_min``, ``NAME_x_max``, ... | extent of points with theta >= 1/2, m; NaN without such points |
     | ``NAME_smeared`` | width of the interface in cells: the volume where 0.05 < theta < 0.95 over |
@@ -267,7 +268,7 @@ class Bodies(Series):
         values = totals.reshape(self._theta.dim, -1)
         values[:, 2 : 2 + dim] /= np.where(values[:, 1:2] > 0, values[:, 1:2], np.nan)
         there = simulation.sampler.rows(self._theta).T[:, :, None] >= HALF
-        # by largest values alone, because the point set of a rank may be empty
+        # least values are computed as largest values of -x, because the point set of a rank may be empty
         ends = np.stack([-self._places, self._places], axis=-1).reshape(-1, 2 * dim)
         extents = np.where(there, ends, -np.inf).max(axis=1, initial=-np.inf)
         extents = simulation.ranks.largest(extents) * np.tile([-1, 1], dim)

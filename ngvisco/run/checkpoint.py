@@ -6,7 +6,7 @@ Layout::
                                     at fixed states, which identify an energy), scheme and the caller's
                                     attributes (``case``, the hash of a case file's physics)
     /ledger/<column>                one value a step, attribute ``unit``; the group's ``closed``: first step
-                                    of each part of the run, and |closure_relative| up to which it closes
+                                    of each part of the run, and |closure_relative| up to which a part closes
     /<table>/<column>               one value a row, for observers with a ``group``, as ``bodies``
     /checkpoints/<step>/state       all coefficients of the step's space; attributes time (s), step,
                                     energy (J), mass (kg), initial_mass (kg), velocity_scale (m/s),

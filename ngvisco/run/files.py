@@ -125,8 +125,8 @@ def mesh_of(image: bytes) -> Mesh:
 def mesh_in(path: Path) -> Mesh:
     """The mesh in a file, curved anew if its geometry is known: Netgen writes eight decimals of curved cells.
 
-    With eight decimals the cells of a case file would differ from the cells of a script, by 3e-10 of a disc's
-    area, and from the cells of a run over ranks.
+    Without this correction a mesh from a file would differ from the mesh of a script or of a run over ranks,
+    for a disc by 3e-10 of the area.
     """
     mesh = Mesh(str(path))
     if mesh.GetCurveOrder() > 1 and has_geometry(mesh):

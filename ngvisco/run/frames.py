@@ -155,7 +155,7 @@ class Lattice:
 def sampled(mesh: Mesh, value: CoefficientFunction, pieces: int) -> tuple[np.ndarray, np.ndarray]:
     """Values at the points of a ``Lattice``, (points, components), and its simplices, (parts, dim + 1)."""
     lattice = Lattice(mesh, pieces)
-    # compiled functions evaluate expressions common to several fields, as the pressure of bodies, only once
+    # compiled functions evaluate expressions shared by several fields, such as bodies' pressure, only once
     return lattice.values(value.Compile()), lattice.cells
 
 

@@ -1,4 +1,4 @@
-"""Stop of a run within a step: the step is given up between two iterations.
+"""Stop of a run within a step: the run gives up the step between two iterations.
 
 The run then ends with the state before that step, and its checkpoint holds the solver's data from before the
 step: a run that goes on from there equals the uninterrupted one.

@@ -82,7 +82,7 @@ class Balance:
 _DEFECT = 0.01
 """Relative root mean square of a defect, above which a run warns."""
 CLOSED = 1e-8
-"""|closure_relative| up to which a ledger counts as closed, whatever the solver's tolerance."""
+"""|closure_relative| up to which a ledger counts as closed for every tolerance of the solver."""
 _PER_TOLERANCE = 100.0
 
 

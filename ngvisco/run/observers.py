@@ -308,8 +308,9 @@ NEGLIGIBLE = 1e-3
 def dissipation_advice(simulation: Simulation) -> str | None:
     """A sentence of advice if the scheme's own dissipation exceeds the model's, else None.
 
-    The energy available for motion is the largest kinetic energy, or change of the stored energy, plus the
-    work done by loads and walls.
+    There is no advice if the scheme's dissipation is negligible beside the energy available for motion: the
+    largest kinetic energy, or the largest change of the stored energy since the start if this is larger, plus
+    the work of loads and walls.
     """
     ledger, scheme = simulation.ledger, simulation.scheme
     if len(ledger.rows) < 2:

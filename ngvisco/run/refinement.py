@@ -1,4 +1,4 @@
-"""Meshes that follow a field: cells of a first mesh are divided where the field is steep, time and again.
+"""Meshes that follow a field: at times during a run, cells are divided where the field is steep.
 
 Every mesh of a run is a bisection of the first one, so that a cell of one mesh is a cell, a part of a cell or
 a union of cells of another.  Where the field has become flat, cells are coarse again.
@@ -85,7 +85,7 @@ class Refinement:
             raise MeshError(message)
         simulation.stepper.check("Refinement.every", self.every)
         self.steep(simulation)
-        require_fit(simulation, simulation)  # a state has to fit to the later meshes too
+        require_fit(simulation, simulation)  # a state has to fit the later meshes too
 
     def steep(self, simulation: Simulation) -> np.ndarray:
         """Whether each cell of the whole mesh is to be divided, (cells,), on the first rank; collective."""

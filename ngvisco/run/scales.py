@@ -162,8 +162,9 @@ def extreme_places(step: Step, sampler: Sampler) -> list[ExtremePlace]:
 def typical_velocity(step: Step, sampler: Sampler, dt: float) -> float:
     """The velocity to be expected in a run, m/s, from its start and its step length ``dt``, s.
 
-    The result is the largest velocity of the start, of walls, of free fall and of elastic release; if all of
-    these are 0, the result is a tenth of the speed of sound.
+    The result is the largest velocity of the start, of walls, of free fall and of elastic release.  Free fall
+    and elastic release count with at most the velocity that crosses the domain in a step.  If all of these
+    velocities are 0, the result is a tenth of the speed of waves, with the same bound; without waves it is 1.
     """
     u, model, ranks = step.now, step.model, sampler.ranks
     speed = math.sqrt(sampler.extrema(square(u.v))[1])
@@ -177,7 +178,7 @@ def typical_velocity(step: Step, sampler: Sampler, dt: float) -> float:
         for name, value in values_at_rest.items()
     ]
     elastic = 0.0
-    # rounding of the energy at rest is no elastic energy to release
+    # rounding of the energy at rest gives no elastic release
     if ranks.most(np.array(strains)) > _AT_REST:
         excess = step.energy.samples(u.z_tensors, sampler) - step.energy.samples(values_at_rest, sampler)
         # the stored energy at a place accelerates the mass at the same place

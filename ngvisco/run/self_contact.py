@@ -16,8 +16,8 @@ class SelfContactWarning(NgviscoWarning):
 
 
 class SelfContact:
-    """Warning, once for each body that has a place, of parts of its surface that face each other within 1.5
-    cells.
+    """Warning, once for each body that has a place, that parts of the body's surface face each other within
+    1.5 cells.
 
     Surfaces are examined after the first step, and whenever matter may have moved by a quarter of a cell, so
     that the examinations cost little beside the steps.

@@ -94,7 +94,7 @@ class Series(ABC):
         return np.array([row[self.columns.index(name)] for row in self.rows])
 
     def may_be_nan(self, column: str) -> bool:
-        """Whether a column may be NaN, if there is nothing to measure; by default no column may."""
+        """Whether a column may be NaN where there is nothing to measure; by default no column may be NaN."""
         return False
 
     def start(self, simulation: Simulation) -> None:

@@ -95,8 +95,8 @@ class Simulation(RunState):
     terms : sequence of Term
         Further terms of the system, e.g. a drag: ``PointTerm`` objects with ``cells(u, w)``, ``facets(u, w)``
         and ``entries(u)`` (``ngvisco.forms.term``), whose entries are columns of the ledger.  ``PointTerm``
-        objects act in both solvers; of a term with ``form(u, w)`` alone the split solver takes only the rows
-        of the flow.
+        objects act in both solvers.  The split solver refuses a term that has only ``form(u, w)``, unless
+        all rows of this term are rows of the flow.
     passive : sequence of str
         Fields carried by the flow: ``"F_tot"``, ``"reference_map"``, ``"creep_strain"``.
     symmetry : str

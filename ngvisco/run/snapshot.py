@@ -294,7 +294,7 @@ def _material_signature(material: object) -> str:
     values = [
         f"{field.name}={_signature_of(getattr(material, field.name))}"
         for field in (dataclasses.fields(material) if dataclasses.is_dataclass(material) else ())
-        if field.repr  # fields without repr, as a body's place, describe only the start
+        if field.repr  # fields without repr, such as a body's place, describe only the start
     ]
     return f"{type(material).__name__}({', '.join(values)})"
 

@@ -132,7 +132,7 @@ class RunState:
 
     @property
     def step_number(self) -> int:
-        """Number of the step that led to the present state or is under way; ``number`` counts its parts."""
+        """Number of the step under way, or of the step that ended; ``number`` also counts parts of steps."""
         return self.stepper.step_of(self.t, self.number)[0]
 
     @property

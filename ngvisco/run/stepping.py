@@ -170,8 +170,8 @@ def time_steps(time: TimeSteps | None, keywords: Mapping[str, Any], further: Ite
 class Rejection:
     """A rejected step: its start ``time`` and length ``tau``, s, and the reason.
 
-    ``history`` holds the attempts to solve the step; it is empty for a step that was solved, but not exactly
-    enough.
+    ``history`` holds the attempts to solve the step; it is empty for a step that was solved, but whose
+    error or growth of damage is too large.
     """
 
     time: float

@@ -1,4 +1,4 @@
-"""Transfer of a state to another mesh or to other parameters, and the energy that it takes.
+"""Transfer of a state to another mesh or to other parameters, and the energy lost in the transfer.
 
 On another mesh, density, transported variables and further unknowns that evolve are projected in L2, and the
 velocity is projected on the new mesh's velocities that the walls allow.  The projection uses values at the
@@ -125,7 +125,7 @@ def transfer(source: Simulation, target: Simulation) -> Transfer:
 
 
 def go_on(source: Simulation, target: Simulation) -> None:
-    """Give the step numbers, step lengths and ledger of ``source`` to ``target``, which has its state."""
+    """Give the step numbers, step lengths and ledger of ``source`` to ``target``; both have one state."""
     target.set_time(source.t, source.number)
     # the arrays of the error estimate belong to the old mesh and are left out
     numbers, _ = source.stepper.state_dict()

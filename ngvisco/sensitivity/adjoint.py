@@ -42,9 +42,10 @@ class Adjoint:
     neighbours : sequence of Neighbours
         For each parameter its neighbours, runs with other values of the parameter. A parameter of start
         values changes the start alone.
-    ends, means : arrays, (numbers, steps + 1, columns)
-        Derivatives of the numbers by the columns at the start and at the ends of steps, and by the columns'
-        means over the stages of the step that ends there.
+    ends : array, (numbers, steps + 1, columns)
+        Derivatives of the numbers by the columns at the start and at the ends of steps.
+    means : array, (numbers, steps + 1, columns)
+        Derivatives of the numbers by the columns' means over a step's stages, in the row of the step's end.
     """
 
     def __init__(

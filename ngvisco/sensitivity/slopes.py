@@ -174,7 +174,7 @@ class Slopes:
         norms = [of(of_pairs[pair], trial) for pair, trial in pairs.items()]
         root = float(np.sqrt(quadrature.integrate_cells(CF(1.0))))
         slopes: dict[str, Slope] = {}
-        if norms:  # the largest one
+        if norms:  # the column is the largest norm
             slopes["defect_rms"] = lambda: max((norm() for norm in norms), key=lambda n: n[0])[1] / root
         if gap is not None and present is not None:
             of_gap = of(present, gap)

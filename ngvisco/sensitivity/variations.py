@@ -63,8 +63,10 @@ class Variations:
         """Coefficients to which the trial functions times ``weight`` are added, (unknowns,), as a view."""
 
     def of(self, integrand: Integrand, prepare: Callable[[], None] = lambda: None) -> Slope:
-        """Slope of an integral, which has the step's quadrature rules.  ``prepare`` is called first, and
-        updates functions in the integrand."""
+        """Slope of an integral by the step's quadrature rules.
+
+        The slope calls ``prepare`` first, which updates functions in the integrand.
+        """
         return self.of_sum([integrand], prepare)
 
     def of_sum(self, integrands: Iterable[Integrand], prepare: Callable[[], None] = lambda: None) -> Slope:

@@ -58,7 +58,7 @@ class ErrorEstimate:
         pairs = [(errors[u.name], now[u.name]) for u in unknowns]
         pairs += [(computed[name] - exact[name], computed[name]) for name in computed]
         self._squares = CF((*(square(part) for pair in pairs for part in pair), 1.0)).Compile()
-        # a scale is a sum: a number, a multiple of the velocity's scale and one of the strains' scale
+        # a scale is the sum of a number and of multiples of the velocity's scale and of the strains' scale
         scales = [(u.scale, float(u.place == "velocity"), 0.0) for u in unknowns]
         scales += [(0.0, 0.0, 1.0) if name in self._strains else (1.0, 0.0, 0.0) for name in computed]
         self._scales = np.array(scales)
