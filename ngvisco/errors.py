@@ -49,17 +49,8 @@ def can_be_copied(value: object) -> bool:
 
 
 class ParameterError(NgviscoError, ValueError):
-    """A parameter has a value that the model or the scheme does not admit.
-
-    Attributes
-    ----------
-    field : str
-        Name of the offending parameter, e.g. ``"NeoHookean.G_e"``.
-    value : object
-        The given value.
-    expected : Words
-        Description of admissible values, given as the parts of ``Words``.
-    """
+    """The parameter ``field``, such as ``"NeoHookean.G_e"``, has a ``value`` that model or scheme do not
+    admit; ``expected`` has the parts of ``Words`` that describe admissible values."""
 
     def __init__(self, field: str, value: object, *expected: object) -> None:
         self.field, self.value, self.expected = field, value, Words(*expected)
@@ -81,6 +72,13 @@ class UnknownNameError(NgviscoError, KeyError):
 
     def __str__(self) -> str:  # KeyError would print the repr of the message
         return self.message
+
+
+def planar(field: str, function: Any, dim: int) -> Any:
+    """The coefficient function; raises ParameterError if it reads z in the plane, where NGSolve's z is 0."""
+    if dim == 2 and "coordinate z" in str(function):
+        raise ParameterError(field, function, "a function of x and y, since a mesh in the plane has no z")
+    return function
 
 
 def require_known(kind: str, names: Iterable[str], known: Collection[str], key: str = "") -> None:

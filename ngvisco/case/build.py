@@ -15,11 +15,10 @@ from ngvisco.case import toml
 from ngvisco.case.faults import CaseError, Fault, Locator
 from ngvisco.case.reading import sections_of, text_of
 from ngvisco.case.schema import CaseSections
-from ngvisco.case.section import built, nodes, parameters, sections_in, shown, values_of
+from ngvisco.case.section import built, nodes, parameters
 from ngvisco.case.units import Converter
-from ngvisco.case.values import LAW, REGION, shape_of
+from ngvisco.case.values import shape_of
 from ngvisco.errors import require_path
-from ngvisco.expressions import parse, parse_region
 from ngvisco.forms.context import time
 from ngvisco.physics.bodies import Body
 from ngvisco.physics.material import ElasticState, Material, part_of
@@ -170,7 +169,6 @@ class Case:
 
     def model(self, dim: int) -> Model:
         """Material, mechanisms and loads in ``dim`` dimensions; raises CaseError."""
-        self._check_place(dim)
         sections: Any = self.sections
         parts = _built(sections.rheology, type(sections.rheology).model_fields)
         parts["loads"] = tuple(load.built for load in sections.loads)
@@ -186,23 +184,9 @@ class Case:
         with self.locator.located("bodies" if sections.bodies else "loads"):
             return Model(**parts).at_order(sections.discretisation.m)
 
-    def _check_place(self, dim: int) -> None:
-        """Raise CaseError for an expression or condition with z if the mesh has two dimensions."""
-        for path, part in sections_in(self.sections) if dim == 2 else ():
-            for name, kind in values_of(type(part)).items():
-                place, value = (*path, name), getattr(part, name)
-                parsed = parse_region if kind is REGION else parse
-                # a region may have shapes in place of a text; these tables are visited by themselves
-                texts = [(place, value)] if kind is REGION else list(nodes(value, place))
-                for key, text in texts if kind is not LAW else ():
-                    if isinstance(text, str) and "z" in parsed(text).names:
-                        message = f"{shown(text)}: there is no z in a mesh of two dimensions"
-                        raise self.locator.error(key, message)
-
     def simulation(self, mesh: Mesh, observers: Sequence[Observer] = ()) -> Simulation:
         """The simulation at its initial state; raises CaseError for data that the model refuses."""
         sections: Any = self.sections
-        self._check_place(mesh.dim)
         parts = _built(sections, ("initial", "discretisation", "solver", "time"))
         walls: dict[str | tuple[str, ...], Wall] = {name: wall.built for name, wall in sections.walls.items()}
         time.Set(0.0)

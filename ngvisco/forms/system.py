@@ -32,7 +32,7 @@ from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
-from ngsolve import VOL, BilinearForm, BitArray, CoefficientFunction, ElementId, GridFunction, Mesh
+from ngsolve import CF, VOL, BilinearForm, BitArray, CoefficientFunction, ElementId, GridFunction, Mesh
 
 from ngvisco.forms.boundary.axis import require_symmetry
 from ngvisco.forms.boundary.wall_terms import Impenetrability, passages_of, wall_terms
@@ -302,6 +302,23 @@ class Step:
         )
         self.damage = DamageGrowth(self) if model.breaks else None
         """The growth of damage after a step; None without damage."""
+
+    def sizes_apart(self) -> dict[str, float]:
+        """Sizes of the variables whose increments count by themselves (``Variable.own_scale``), by name.
+
+        The size is ``own_scale`` times the change of the variable that has the energy of a strain of one at
+        the mean of the present state, the root of the ratio of both second derivatives; 0 without energy.
+        """
+        states = self.layout.states
+        apart = {v.name: v.own_scale for v in states.variables if v.own_scale is not None}
+        if not any(apart.values()):
+            return apart
+        mean = np.asarray(self.quadrature.integrate_cells(CF((self.now.z, 1.0))))
+        curvature = np.diagonal(self.tabulated_rates.response(mean[None, :-1] / mean[-1]).hessian[0])
+        strains = np.delete(curvature, np.r_[*(states.slices[name] for name in apart)])
+        with np.errstate(all="ignore"):
+            sizes = np.nan_to_num(np.sqrt(strains.max() / curvature), posinf=0.0)
+        return {name: scale * float(sizes[states.slices[name]].max()) for name, scale in apart.items()}
 
     @cached_property
     def whole_residual(self) -> BilinearForm:

@@ -193,6 +193,7 @@ class Parameter(Variable, ParameterExpression):
     typical: float = math.nan
     mean: Mean = "arithmetic"
     is_strain = False
+    own_scale = 0.0
     limits: ClassVar[tuple[float, float] | None] = None
     """Range within which the limiter keeps the parameter; None for the range of its start values."""
 

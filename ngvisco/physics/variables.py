@@ -70,8 +70,8 @@ class Variable(ABC):
     density = 0.0
     """Mass density per unit of the variable, kg/m^3; 0 for a variable that is no amount of matter."""
     own_scale: ClassVar[float | None] = None
-    """Size to which the variable's increments are compared; None if they count with those of all
-    variables."""
+    """None for a variable whose increments count together with those of the strains. A number for a variable
+    that may have another unit and counts by itself, with the size that ``Step.sizes_apart`` makes of it."""
 
     def __post_init__(self) -> None:
         if not (isinstance(self.name, str) and self.name.isidentifier()):
@@ -349,6 +349,7 @@ class Concentration(PerVolume):
     name: str = "c"
 
     is_conserved = True
+    own_scale = 1.0
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from ngsolve import CF, CoefficientFunction
 
-from ngvisco.errors import Declared, ParameterError, Quantity, require_collection, require_some_names
+from ngvisco.errors import Declared, ParameterError, Quantity, planar, require_collection, require_some_names
 from ngvisco.expressions import ExpressionError, parse
 from ngvisco.forms.mesh.locating import Located, as_points
 from ngvisco.forms.reactions import WallReactions
@@ -225,11 +225,13 @@ class Integrals(Series):
             raise ParameterError("Integrals.integrands", taken[0], expected)
 
         def integrand(name: str, value: Any) -> CoefficientFunction:
+            key = f"Integrals.integrands[{name!r}]"
             try:
-                return parse(value, tuple(fields)).coefficient(fields) if isinstance(value, str) else value
+                made = parse(value, tuple(fields)).coefficient(fields) if isinstance(value, str) else value
             except ExpressionError as error:
-                error.key = f"Integrals.integrands[{name!r}]"
+                error.key = key
                 raise
+            return planar(key, made, simulation.mesh.dim)
 
         self._integrand = CF(tuple(integrand(name, value) for name, value in self.integrands.items()))
         for name, value in zip(self.integrands, self._totals(simulation), strict=True):

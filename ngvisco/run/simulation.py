@@ -154,13 +154,12 @@ class Simulation(RunState):
         self.observers = list(observers)
         self.interruption = Interruption(self)
         self.set_time(0.0, 0)
-        self._kept = {"mesh", "model", *self.arguments, *_STEPS} - {
-            "velocity_scale"
-        }  # which a resumed run sets
+        kept = {"mesh", "model", "t", "number", *self.arguments, *_STEPS}
+        self._kept = kept - {"velocity_scale"}  # which a resumed run sets
 
     def __setattr__(self, name: str, value: object) -> None:
         if name in vars(self).get("_kept", ()):  # the run would not read the value
-            expected = "no change of a run; make another by Simulation.on, and carry the state by nv.transfer"
+            expected = "no change of a run; make another by Simulation.on, or set its state by nv.transfer"
             raise ParameterError(f"Simulation.{name}", value, expected)
         super().__setattr__(name, value)
 

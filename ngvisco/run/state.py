@@ -11,7 +11,6 @@ from typing import Any, TypeAlias
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import ParameterError
 from ngvisco.forms.bounds import Bounds
 from ngvisco.forms.context import time as run_time
 from ngvisco.forms.mesh.quadrature import Sampler
@@ -105,20 +104,10 @@ class RunState:
         """Time of the present state, s; the run alone advances it."""
         return self._t
 
-    @t.setter
-    def t(self, value: float) -> None:
-        expected = "no assignment, since advance(), run(), restore() and nv.transfer set the time"
-        raise ParameterError("Simulation.t", value, expected)
-
     @property
     def number(self) -> int:
         """Number of the present state among the accepted states, 0 at the start."""
         return self._number
-
-    @number.setter
-    def number(self, value: int) -> None:
-        expected = "no assignment, since advance() and run() count the steps"
-        raise ParameterError("Simulation.number", value, expected)
 
     @cached_property
     def numbering(self) -> Numbering:

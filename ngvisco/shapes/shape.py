@@ -14,7 +14,7 @@ from typing import Annotated
 import numpy as np
 from ngsolve import CoefficientFunction, GridFunction, Mesh
 
-from ngvisco.errors import ParameterError, Quantity, as_place, require_fields, require_known
+from ngvisco.errors import ParameterError, Quantity, as_place, planar, require_fields, require_known
 from ngvisco.shapes.fractions import fractions
 from ngvisco.shapes.places import Places
 
@@ -93,7 +93,7 @@ class Where(Shape):
             raise ParameterError("Where.function", self.function, "a scalar coefficient function")
 
     def level(self, at: Places) -> np.ndarray:
-        values = at.values(self.function).reshape(-1)
+        values = at.values(planar("Where.function", self.function, at.mesh.dim)).reshape(-1)
         if not np.isfinite(values).all():
             expected = "a function with finite values"
             raise ParameterError("Where.function", "a function that is not finite somewhere", expected)

@@ -9,14 +9,15 @@ The norm of an increment is
 
 of vectors of coefficients, with scale_v = |v|_2 + f sqrt(n) h/tau and scale_u = |u|_2 + f sqrt(n) s_u. Here n
 is the number of coefficients of u, and h is the smallest cell size. A velocity thus counts by the strain that
-it makes in the step. The unknown's scale s_u is 0 for rho and 1 for z. The other unknowns are functions of
-the evolving ones, and do not count. An exception is the trace of a density that diffuses by an r-Laplacian:
-this trace is a nonlinear function, and counts like rho.
+it makes in the step. The unknown's scale s_u is 0 for rho, and 1 for the strains in z, which count together.
+A variable in z that may have another unit, such as a concentration, an entropy or a modulus, counts by
+itself, with s_u by ``Step.sizes_apart``, because its large numbers would hide the strains. The other unknowns
+are functions of the evolving ones, and do not count. An exception is the trace of a density that diffuses by
+an r-Laplacian: this trace is a nonlinear function, and counts like rho.
 
 A creep rate field Pi changes z by tau Pi only, so that a short step does not determine Pi. With nu > 0, Pi
-counts by s |dPi|_2/(|Pi|_2 + |dPi|_2 + f sqrt(n)/tau). A variable with an ``own_scale``, as the entropy, also
-counts by itself. Here f is ``FLOOR`` and s is ``SHARE``. A stalled iteration is judged with the larger floor
-f = ``COARSE_FLOOR``, except for Pi.
+counts by s |dPi|_2/(|Pi|_2 + |dPi|_2 + f sqrt(n)/tau). Here f is ``FLOOR`` and s is ``SHARE``. A stalled
+iteration is judged with the larger floor f = ``COARSE_FLOOR``, except for Pi.
 """
 
 from __future__ import annotations
@@ -53,24 +54,24 @@ class BlockNorm:
     ``exchange`` belongs to the space of the vectors, and is needed if several ranks share this space.
     """
 
+    noise_cap = 100.0
+    """Largest increment that is accepted as rounding, in tolerances. A stalled increment is accepted if it is
+    below the noise, and below this number of tolerances in the norm with the coarse floor. In this norm a
+    velocity that comes to rest counts by the strain that it makes."""
+
     def __init__(
         self,
-        ranges: Mapping[str, slice],
+        ranges: Mapping[str, slice | np.ndarray],
         units: dict[str, float],
         exchange: Exchange | None = None,
         shared: Collection[str] = (),
     ) -> None:
         self.ranges, self.units, self.shared = ranges, units, tuple(shared)
         self._ranks = Communicator() if exchange is None else exchange.communicator
-        self._own: dict[str, slice | np.ndarray] = {name: ranges[name] for name in units}
+        self._own = {name: ranges[name] for name in units}
         if exchange is not None and self._ranks.is_distributed:  # a shared coefficient counts once
-            for name in units:
-                self._own[name] = np.flatnonzero(exchange.owned[ranges[name]]) + ranges[name].start
-
-        def count(block: slice) -> int:
-            return block.stop - block.start if exchange is None else exchange.length(block)
-
-        self._counts = {name: count(ranges[name]) for name in units}
+            self._own = {name: np.r_[at][exchange.owned[at]] for name, at in self._own.items()}
+        self._counts = {name: self._ranks.total(len(np.r_[own])) for name, own in self._own.items()}
 
     def __call__(self, increment: BaseVector, *states: BaseVector, coarse: bool = False) -> float:
         """Return |increment|; the scale of a block is that of the largest of ``states``."""

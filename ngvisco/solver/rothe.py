@@ -286,7 +286,8 @@ class RotheSolver:
         if "last_tau" not in numbers or numbers.get(_BY_SPLIT, is_split) != is_split:
             return
         now, kept = time.Get(), {name: vector.copy() for name, vector in self._vectors().items()}
-        self._set({name: np.asarray(arrays[name])[self._part(name)] for name in kept})
+        parts = {"lagged": self.step.layout.ranges["z"]}
+        self._set({name: np.asarray(arrays[name])[parts.get(name, slice(None))] for name in kept})
         self.step.stresses.give(arrays)
         parameters = {name: numbers[name] for name in _PARAMETERS}
         self.newton.factorise(self.problem(Interval(begin=now, **parameters)))
@@ -307,10 +308,6 @@ class RotheSolver:
         for name, vector in self._vectors().items():
             vector[:] = values[name]
         self.step.start_from_old()  # the derivative reads m_old, by the numerical heating of backward Euler
-
-    def _part(self, name: str) -> slice:
-        """Range of the vector ``name`` in an array of a whole state."""
-        return self.step.layout.ranges["z"] if name == "lagged" else slice(None)
 
     def remember(self, interval: Interval) -> None:
         """Keep the present state, of a step over ``interval``, as the state of the last factorisation."""
@@ -368,12 +365,9 @@ def _norm(step: Step, exchange: Exchange) -> BlockNorm:
         units["rho_delta_hat"] = 0.0  # at a uniform density all terms of this equation are cubic
     shared = {"Pi"} & set(step.layout.ranges)
     units |= dict.fromkeys(shared, 0.0)
-    ranges, states = dict(step.layout.ranges), step.layout.states
-    z = ranges["z"]
-    count = (z.stop - z.start) // states.size
-    for variable in step.model.material.variables:
-        if variable.own_scale is not None:  # a scalar variable
-            begin = z.start + states.slices[variable.name].start * count
-            ranges[variable.name] = slice(begin, begin + count)
-            units[variable.name] = variable.own_scale
-    return BlockNorm(ranges, units, exchange, shared)
+    ranges, states = dict[str, slice | np.ndarray](step.layout.ranges), step.layout.states
+    z = np.r_[step.layout.ranges["z"]].reshape(states.size, -1)
+    apart = step.sizes_apart()
+    ranges |= {name: z[states.slices[name]].ravel() for name in apart}
+    ranges["z"] = np.delete(z, np.r_[0:0, *(states.slices[name] for name in apart)], axis=0).ravel()
+    return BlockNorm(ranges, units | apart, exchange, shared)

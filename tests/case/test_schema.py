@@ -92,8 +92,8 @@ CASE | walls.left -> walls.lef | case.toml:24: walls.lef: unknown boundary 'lef'
 CASE | size = [1, 1] -> size = [1] | case.toml:4: domain.size: [1.0]: expected two or three
 CASE | 1 + 0.1*x -> x - 1 | case.toml:21: initial.density: initial density rho_0: the minimum is -1
 CASE | sin(pi*x)*cos -> log(x - 2)*cos | case.toml:22: initial.velocity
-CASE | 1 + 0.1*x -> z + 1 | initial.density: 'z + 1': there is no z in a mesh of two dimensions
-CASE | -1 + 0.1*t -> z | case.toml:18: loads.0.g.1: 'z': there is no z in a mesh of two dimensions
+CASE | 1 + 0.1*x -> z + 1 | initial.density: 'z + 1': expected a function of x and y, since
+CASE | -1 + 0.1*t -> z | case.toml:18: loads.0.g: [0, 'z']: expected a function of x and y, since
 CASE | -1 + 0.1*t -> log(x - 2) | case.toml:18: loads.0.g: [0, 'log(x - 2)']: expected finite
 CASE | -1 + 0.1*t -> sqrt(0.05 - t) | finite values; at t = 0.075 s the value is not finite somewhere
 CASE | g = [0, -> g = [0, 0, | case.toml:18: loads.0.g: [0, 0, '-1 + 0.1*t']: expected a vector with 2

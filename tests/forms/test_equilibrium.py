@@ -266,3 +266,22 @@ time = { dt = 1, until = 2 }
     p = run.fields["pressure"]
     assert p(run.mesh(5e3, 0)) == pytest.approx(2700 * 9.81e4 + 1e5, rel=1e-3)
     assert p(run.mesh(5e3, 1e4)) == pytest.approx(1e5, abs=3e5)
+
+
+@pytest.mark.parametrize(("datum", "given"), [(0.0, 0.5), (0.5, 0.0), (0.5, 0.5)])
+def test_a_datum_that_contradicts_the_pressure_of_its_open_wall_is_warned_of(datum, given):
+    def start():
+        nv.Simulation(
+            structured_box((1, 1), (2, 4)),
+            nv.Model(material=ROCK, viscosity=VISCOUS, loads=[DOWN]),
+            dt=0.05,
+            initial=nv.Initial(density=RHO, equilibrium="hydrostatic", datum="top", datum_pressure=datum),
+            walls={"top": nv.Open(pressure=given)},
+        )
+
+    if datum == given:
+        return start()
+    with pytest.warns(
+        InputWarning, match=rf"datum_pressure gives .* Pa at the start on the wall 'top', .* {given:g} Pa"
+    ):
+        start()

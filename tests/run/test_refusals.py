@@ -7,11 +7,12 @@ from functools import cache
 
 import numpy as np
 import pytest
-from ngsolve import CF, Id, log, sqrt, x
+from ngsolve import CF, Id, log, sqrt, x, z
 from support import LINEAR, NEO_HOOKEAN, small_box
 
 import ngvisco as nv
 from ngvisco import geometries
+from ngvisco.errors import ParameterError
 from ngvisco.physics import variables
 from ngvisco.shapes.fractions import fractions
 from ngvisco.shapes.shape import Union, Where  # noqa: F401  of the tables
@@ -483,3 +484,40 @@ def test_the_end_time_may_miss_a_multiple_of_the_step_by_rounding():
     """In floating point 0.1 * 3 is not 0.3, but it is three steps."""
     ledger = simulation(ELASTIC).run(until=0.1 * 3)
     assert len(ledger.rows) == 4 and ledger.rows[-1]["time"] == 3 * 0.1
+
+
+@pytest.mark.parametrize(
+    ("options", "field"),
+    [
+        ({"initial": nv.Initial(density=1 + z)}, "Initial.density"),
+        ({"initial": nv.Initial(velocity=(z, 0))}, "Initial.velocity"),
+        ({"walls": {"top": nv.Open(pressure=z)}}, r"walls\['top'\].pressure"),
+        ({"walls": {"top": nv.Traction(f=(z, 0))}}, r"walls\['top'\].f"),
+        ({"model": nv.Model(material=NEO_HOOKEAN, loads=[nv.Gravity((0, -z))])}, r"loads\['gravity'\].g"),
+        ({"model": nv.Model(material=nv.NeoHookean(K_e=1, G_e=1 + z, epsilon=1))}, "NeoHookean.G_e"),
+        ({"model": nv.Model(bodies=[of("a", 0.5 - z), of("b", None)])}, "Where.function"),
+        ({"observers": [nv.Integrals({"a": "z*density"})]}, r"Integrals.integrands\['a'\]"),
+    ],
+    ids=["density", "velocity", "pressure", "traction", "load", "modulus", "body", "integral"],
+)
+def test_a_function_of_z_is_refused_in_the_plane(options, field):
+    """NGSolve's z is 0 on a mesh of two dimensions."""
+    with pytest.raises(ParameterError, match=rf"^{field} = .*x and y, since a mesh in the plane has no z"):
+        simulation(**options).run(0.1)
+
+
+TIMES = {"late": (5, 6), "over": (-3, -1), "within": (0.05, 6), "around": (-1, 1)}
+
+
+@pytest.mark.parametrize("where", ["load", "wall"])
+@pytest.mark.parametrize("name", [*TIMES, "late step", "step at the start"])
+def test_a_function_of_time_that_the_run_does_not_reach_is_warned_of(name, where, recwarn):
+    steps = {"late step": nv.step(3.0), "step at the start": nv.step(0.0)}
+    given = steps[name] if name in steps else nv.table(TIMES[name], (0, 1))
+    loads = [nv.Gravity((0, given))] if where == "load" else []
+    walls = {"top": nv.Open(pressure=given)} if where == "wall" else {}
+    run = simulation(nv.Model(material=NEO_HOOKEAN, viscosity=STOKES, loads=loads), walls=walls)
+    run.check_data(0.1)
+    said = [str(w.message) for w in recwarn if "but the run is from 0 to 0.1 s" in str(w.message)]
+    assert bool(said) == (name in ("late", "over", "late step"))
+    assert all("gravity" in text or "walls['top'].pressure" in text for text in said)

@@ -10,6 +10,8 @@ from support import MATERIALS, SWIRL, small_run, state
 import ngvisco as nv
 from ngvisco import HyperViscosity, NewtonOptions, StepError, StokesViscosity, time
 from ngvisco.geometries import box
+from ngvisco.physics.tensors import square
+from ngvisco.physics.variables import Concentration, Distortion, Jacobian, ReciprocalJacobian
 from ngvisco.solver.options import SplitOptions
 from ngvisco.solver.problem import Problem, Status, iterations
 from ngvisco.solver.split.solver import Split, iterate
@@ -74,7 +76,7 @@ class Increments:
     """Stand-in of a split solver for ``iterate``: increments of given sizes, by their number."""
 
     has_converged, reset_if_worn = Split.has_converged, lambda self, f, size: None
-    is_steep, follow = False, lambda self, f: None
+    is_steep, follow, is_rounding = False, lambda self, f: None, lambda self, f, size: False
     _left = 0.0  # linear systems are solved exactly
 
     def __init__(self, sizes):
@@ -175,3 +177,92 @@ def test_a_nearly_incompressible_body_takes_a_step_in_which_waves_pass_many_time
     start = nv.Initial(density=1 + 0.2 * cos(2 * pi * x), velocity=eddy)
     run = nv.Simulation(box((1, 1), 0.4, periodic="xy"), model, dt=0.1, initial=start, solver="coupled")
     assert run.advance()["newton_iterations"] <= 15
+
+
+def creeping(unit: float, kind: str) -> np.ndarray:
+    """Coefficients of F in a body that is held in shear and creeps by a power of its stress, after a step.
+
+    The body carries a concentration, or its shear modulus, in another ``unit``.
+    """
+
+    def energy(F, J, c):
+        return 5 * (J - 1) * (J - 1) / J + 2 * square(F) / J + 0.5 * (unit * c) * (unit * c) / J
+
+    variables = Distortion(), Jacobian(), Concentration()
+    material: nv.Material = nv.CustomMaterial(transported=variables, stored_energy=energy)
+    if kind == "modulus":
+        modulus = 4 * unit * nv.Parameter("theta", start=1 / unit)
+        material = nv.ReferentialNeoHookean(K_e=10.0, G_e=modulus, elastic_state="F")
+    run = nv.Simulation(
+        box((1, 1), 1),
+        nv.Model(material=material, creep=nv.Norton(A=0.1, n=4.0)),
+        dt=0.5,
+        initial=nv.Initial(F=SHEARED, density=1.0, values={"c": CF(1 / unit)} if kind == "solute" else {}),
+        walls=dict.fromkeys(("left", "right", "top", "bottom"), nv.NoSlip()),
+        solver="coupled",
+    )
+    assert abs(run.advance()["closure_relative"]) < 1e-13
+    return run.rothe_step.state.vec.FV().NumPy()[run.solver.norm.ranges["z"]].copy()
+
+
+SHEARED = CF((1, 0.5, 0, 0, 1, 0, 0, 0, 1), dims=(3, 3))
+
+
+@pytest.mark.parametrize("kind", ["solute", "modulus"])
+def test_the_unit_of_a_carried_number_does_not_change_the_strains(kind):
+    """In an earlier version numbers of 1e5, as in mol/m^3, hid the strains, which were then wrong by 1e-4."""
+    strains = [creeping(unit, kind) for unit in (1.0, 1e-5, 1e5)]
+    assert np.abs(strains[0] - 1).max() > 0.1
+    for others in strains[1:]:
+        assert np.abs(others - strains[0]).max() < 1e-12
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-5])
+def test_a_solute_that_begins_at_zero_is_resolved_up_to_rounding(unit):
+    """Under a load of 1e-7 Pa the solute's amount is so small that rounding of the strain changes it by more
+    than the tolerance. Terzaghi's settlement after 0.02 s is 0.0167 m/Pa; one step gives less."""
+
+    def energy(A, c):
+        room = 1 - A - unit * c
+        return (5 * (1 - A) * (1 - A) + 500 * room * room) / A
+
+    gel = nv.CustomMaterial(transported=(ReciprocalJacobian(), Concentration()), stored_energy=energy)
+    drained = {"top": nv.WallExchange(potential=0.0, coefficient=1e3 / unit**2)}
+    law = nv.Diffusion(variable="c", mobility=0.1 / unit**2, walls=drained)
+    viscosity = nv.StokesViscosity(K_v=0.01, G_v=0.01)
+    run = nv.Simulation(
+        box((0.5, 1), 0.25),
+        nv.Model(material=gel, viscosity=viscosity, diffusion=law),
+        time=nv.TimeSteps(dt=0.02, velocity_scale=1e-7),
+        initial=nv.Initial(density=0.01),
+        walls={"top": nv.Open(pressure=1e-7, displacement=True)},
+        solver="split",
+    )
+    assert run.advance()["newton_iterations"] <= 9
+    settled = -run.fields["displacement_top"](run.mesh(0.1, 1.0))[1] / 1e-7
+    assert 0.014 < settled < 0.0167
+
+
+@pytest.mark.parametrize("strain", [1e-9, 1e-3])
+def test_the_split_solver_accepts_increments_that_are_rounding(strain):
+    """Waves cross 300 cells of a free body in a step, so that rounding of the stress moves the whole body."""
+    G, density = 1e9, 1000.0
+    dt = 300 * 0.3 * (density / (2 * G)) ** 0.5
+    run = nv.Simulation(
+        box((1, 1), 0.3),
+        nv.Model(
+            material=nv.ReferentialNeoHookean(K_e=G, G_e=G),
+            viscosity=nv.StokesViscosity(K_v=1e-3 * G * dt, G_v=1e-3 * G * dt),
+        ),
+        dt=dt,
+        initial=nv.Initial(
+            density=density,
+            velocity=(1e-6 * (1 + 0.1 * y), 2e-7 * x),
+            F=CF((1, strain * sin(pi * x), 0, 0, 1, 0, 0, 0, 1), dims=(3, 3)),
+        ),
+        walls=dict.fromkeys(("left", "right", "top", "bottom"), nv.Open()),
+        solver="split",
+    )
+    ledger = run.run(2 * dt)
+    assert not ledger.column("rejections").any() and ledger.column("newton_iterations").max() <= 24
+    assert abs(ledger.column("closure_relative")).max() < 1e-12

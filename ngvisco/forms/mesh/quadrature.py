@@ -35,7 +35,7 @@ from ngsolve import (
 )
 from ngsolve.comp import IntegrationRuleSpace
 
-from ngvisco.errors import InitialDataError, ParameterError
+from ngvisco.errors import InitialDataError, ParameterError, planar
 from ngvisco.forms.mesh.integrand import Integrand
 from ngvisco.forms.mesh.mesh_arrays import VERTICES, is_simplicial, rules
 from ngvisco.forms.mesh.symmetry import NO_SYMMETRY, Symmetry, weighted
@@ -293,7 +293,7 @@ class Sampler:
         self, f: CoefficientFunction, name: str, key: str = "Initial", minimum: float | None = None
     ) -> None:
         """Raise InitialDataError unless f is finite (and > ``minimum``) at all points."""
-        values = self.values(f)
+        values = self.values(planar(key, f, self.mesh.dim))
         if not self.ranks.all(np.isfinite(values).all()):
             raise InitialDataError(name, "the value is not finite somewhere", "finite values", key)
         if minimum is not None and (least := self.ranks.least(values)) <= minimum:

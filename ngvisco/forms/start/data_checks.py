@@ -29,7 +29,7 @@ from ngsolve import (
     z,
 )
 
-from ngvisco.errors import InputWarning, ParameterError
+from ngvisco.errors import InputWarning, ParameterError, planar
 from ngvisco.forms.boundary.wall_terms import Carried
 from ngvisco.forms.boundary.walls import OPEN, velocity_of
 from ngvisco.forms.given_values import Given
@@ -41,20 +41,11 @@ from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import cell_numbers
 from ngvisco.physics.energy_checks import ConvexityWarning, check_convexity
-from ngvisco.physics.loads import CentralGravity, VectorLike, as_vector, force_of
+from ngvisco.physics.loads import VectorLike, as_vector, force_of
 from ngvisco.physics.material import Material, part_of
-from ngvisco.physics.materials import (
-    CustomMaterial,
-    Damaged,
-    IsotropicStrainEnergy,
-    Network,
-    Thermal,
-    WithQuadratic,
-    Yosida,
-)
-from ngvisco.physics.materials.wrapped import Carrying
+from ngvisco.physics.materials import CustomMaterial, IsotropicStrainEnergy, Network
 from ngvisco.physics.mixture import AMOUNT, Mixture
-from ngvisco.physics.signals import time
+from ngvisco.physics.signals import breaking, sampled, time
 from ngvisco.physics.tensors import square, tr
 from ngvisco.physics.variables import Distortion
 from ngvisco.physics.walls import PrescribedNormal, Traction
@@ -68,41 +59,45 @@ _STIFFER = 10.0
 """Ratio of bulk moduli above which a run warns.  At a ratio of 20 steps have to be divided
 (``demos/collision``). At ratios above 5 an overshoot of a quarter may make the compliance negative."""
 
-_SIGNS = {
-    "velocity": "",
-    "f": "",
-    "traction": "",
-    "pressure": "",
-    "coefficient": ">= 0",
-    "heat.temperature": "> 0",
-    "heat.coefficient": ">= 0",
-    "heat.flux": "",
-}
-"""Values of wall conditions that are checked, with the sign that they must have; all must be finite."""
 _VECTORS = ("velocity", "f", "traction")
+_SIGNS = dict.fromkeys((*_VECTORS, "pressure", "heat.flux"), "")
+_SIGNS |= {"coefficient": ">= 0", "heat.coefficient": ">= 0", "heat.temperature": "> 0"}
+"""Values of wall conditions that are checked, with the sign that they must have; all must be finite."""
 
 
 def check_loads(step: Step, sampler: Sampler, times: Iterable[float]) -> None:
     """Raise ParameterError for a load or heat source that is not finite at a sampling point and time (s)."""
-    given: list[tuple[str, object, CoefficientFunction, str]] = []
+    given: list[tuple[str, object, CoefficientFunction]] = []
     for body, source in step.model.heat_law.sources:
         owner = "Heat.source" if body is None else f"bodies[{body!r}].heat.source"
-        given.append((owner, source, CF(source), "finite values"))
+        given.append((owner, source, CF(source)))
     for load in step.model.loads:
-        owner, vector = f"loads[{load.name!r}]", force_of(load, step.mesh.dim)
-        if isinstance(load, CentralGravity):
-            given.append(
-                (owner, load, vector, "centre, strength, radius and exponent that give finite values")
-            )
-        else:
-            name = "g" if load.is_weight else "force"
-            given.append((f"{owner}.{name}", getattr(load, name), vector, "finite values"))
+        name = "g" if load.is_weight else "force"
+        field = f"loads[{load.name!r}]" + f".{name}" * (name in vars(load))
+        given.append((field, getattr(load, name), force_of(load, step.mesh.dim)))
     times = list(times)
-    for field, value, function, expected in given:
+    for field, value, function in given:
+        planar(field, function, step.mesh.dim)
+        _warn_of_late(step, field, function, times)
         for t in _at(times):
             if not sampler.ranks.all(np.isfinite(sampler.values(function)).all()):
-                expected = f"{expected}; at t = {t:g} s the value is not finite somewhere"
+                expected = f"finite values; at t = {t:g} s the value is not finite somewhere"
                 raise ParameterError(field, value, expected)
+
+
+def _warn_of_late(step: Step, field: str, function: CoefficientFunction, times: Sequence[float]) -> None:
+    """Warn of a function that changes only after the last of the ``times``, s, and of a table that ends by
+    t = 0."""
+    (begin, end), breaks = (times[0], times[-1]), list[float]()
+    for argument in breaking(function)[0] if end > begin else ():
+        a, b, c = (sampled(argument)[0] for _ in _at((begin, (begin + end) / 2, end)))
+        if a != c and abs(a - 2 * b + c) < 1e-9 * abs(a - c):  # linear in time
+            breaks.append(begin + (end - begin) * a / (a - c))
+    if not breaks or len({tuple(sampled(function)) for _ in _at(times)}) > 1:
+        return
+    if min(breaks) >= end or (max(breaks) <= 0 and "bspline" in str(function)):
+        when = f"from {min(breaks):g} to {max(breaks):g} s, but the run is from {begin:g} to {end:g} s"
+        Communicator.of(step.mesh).warn(f"{field} changes {when}", InputWarning, stacklevel=5)
 
 
 def check_walls(step: Step, times: Iterable[float]) -> None:
@@ -121,6 +116,7 @@ def check_walls(step: Step, times: Iterable[float]) -> None:
                 continue
             is_vector = key in _VECTORS and not isinstance(wall, PrescribedNormal)
             function = as_vector(value, step.mesh.dim, field) if is_vector else CF(value)
+            _warn_of_late(step, field, function, times)
             for t in _at(times):
                 _look(step, name, function, field, t, sign, value=value)
                 if key == "velocity":
@@ -170,6 +166,7 @@ def _look(
 ) -> None:
     """Raise ParameterError unless a function is finite and has the required ``sign`` on a wall at the time
     ``t``."""
+    planar(field, function, step.mesh.dim)
     values = values_on(step.walls.region([wall]), function, _DEGREE)
     ranks = Communicator.of(step.mesh)
     if not ranks.all(np.isfinite(values).all()):
@@ -210,9 +207,7 @@ def warn_of_own_energy(step: Step, states: np.ndarray | None) -> None:
 
 def _is_own(material: Material | None) -> bool:
     """Whether a material is user-defined or wraps a user-defined one."""
-    while isinstance(material, (WithQuadratic, Yosida, Carrying, Damaged, Thermal)):
-        material = material.material
-    return isinstance(material, (CustomMaterial, IsotropicStrainEnergy))
+    return any(part_of(material, kind) is not None for kind in (CustomMaterial, IsotropicStrainEnergy))
 
 
 def _warn_of_branches(branches: Mapping[str, Material], dim: int) -> None:

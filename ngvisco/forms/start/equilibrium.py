@@ -53,6 +53,7 @@ from ngvisco.physics.materials.thermal import Thermal
 from ngvisco.physics.materials.wrapped import carrying
 from ngvisco.physics.parameters import parameters_in, value_at
 from ngvisco.physics.tensors import if_positive
+from ngvisco.physics.walls import Open
 
 _ROUNDS, _STEPS = 100, 60
 """Largest numbers of iterations of the density, and of Newton steps for the volume."""
@@ -65,6 +66,8 @@ the pressure at the ground.  The pressures above are then negative and have no J
 expanded."""
 _DIFFERENCE = 1e-5
 """Relative change of J in the difference quotient of the bulk law."""
+_UNEQUAL = 0.01
+"""Relative difference of the datum's pressure and its wall's pressure, above which a warning is given."""
 _UNBORNE = 0.05
 """Share of the loads that no pressure bears, above which a warning is given."""
 
@@ -169,6 +172,17 @@ class Column:
             remedy = f"{expected}; take a lower column, or a larger pressure at the datum"
             raise InitialDataError("equilibrium", "no pressure was found that bears the weight", remedy)
         release(self._inverse)
+        wall = self.step.walls.conditions[datum] if isinstance(datum, str) else None
+        if isinstance(wall, Open) and wall.traction is None:
+            given, inside = at(CF(wall.pressure)), at(self.pressure)
+            high = self.sampler.extrema(self.pressure)[1]
+            if abs(inside - given) > _UNEQUAL * max(
+                abs(self.sampler.values(self.pressure).max()), abs(given)
+            ):
+                self._warn(
+                    f"Initial.datum_pressure gives {inside:.4g} Pa at the start on the wall {datum!r}, whose "
+                    f"own pressure is {given:.4g} Pa; the difference loads the body from the first step on"
+                )
         self._say_what_is_left()
         return self.J
 
@@ -244,12 +258,14 @@ class Column:
         )
         if left > _UNBORNE * size:
             around = "the loads have a circulation around the periodic domain, or "
-            message = (
+            self._warn(
                 f"equilibrium: {left / size:.0%} of the loads are balanced by no pressure, since "
                 f"{around * bool(self.step.layout.periodic)}the density varies within cells, or along level "
                 "surfaces of the loads' potential. The body will therefore move"
             )
-            self.sampler.ranks.warn(message, InputWarning, stacklevel=4)
+
+    def _warn(self, message: str) -> None:
+        self.sampler.ranks.warn(message, InputWarning, stacklevel=5)
 
 
 def require_open(step: Step, F: object, given: Mapping[str, object]) -> None:

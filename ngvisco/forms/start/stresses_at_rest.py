@@ -7,13 +7,13 @@ does not feel this stress; a drop in another body, and a body between open walls
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 from ngsolve import BND, CF, BoundaryFromVolumeCF, Integrate, specialcf
 
 from ngvisco.forms.boundary.wall_terms import GivenStress
 from ngvisco.forms.system import Step
-from ngvisco.physics.material import Material, cauchy_stress, rest_stress_and_modulus
+from ngvisco.physics.material import cauchy_stress, rest_stress_and_modulus
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.walls import Open
 from ngvisco.words import Mention, Words
@@ -31,7 +31,7 @@ _REMEDY = (
 
 def where_bodies_meet(step: Step) -> Iterator[str]:
     """Yield a warning of bodies with different stresses at rest, which push each other."""
-    stresses, rounding = _at_rest({body.name: body.material for body in step.model.bodies})
+    stresses, rounding = _at_rest(step) if step.model.bodies else ({}, 0.0)
     if stresses and max(stresses.values()) - min(stresses.values()) > rounding:
         names = ", ".join(repr(name) for name in stresses)
         values = ", ".join(f"{stress:.4g} Pa" for stress in stresses.values())
@@ -53,8 +53,7 @@ def on_open_walls(step: Step) -> Iterator[str]:
     """
     walls = [name for name, wall in step.walls.conditions.items() if isinstance(wall, Open)]
     material = step.model.material
-    laws = {body.name: body.material for body in step.model.bodies} or {"": material}
-    stresses, rounding = _at_rest(laws) if walls else ({}, 0.0)
+    stresses, rounding = _at_rest(step) if walls else ({}, 0.0)
     largest = max((abs(stress) for stress in stresses.values()), default=0.0)
     if not largest > rounding:
         return
@@ -85,9 +84,10 @@ def on_open_walls(step: Step) -> Iterator[str]:
         )
 
 
-def _at_rest(laws: Mapping[str, Material]) -> tuple[dict[str, float], float]:
-    """Mean normal stresses at rest, Pa, by the laws' names; and the size, Pa, up to which a stress is
-    rounding."""
+def _at_rest(step: Step) -> tuple[dict[str, float], float]:
+    """Mean normal stresses at rest, Pa, by the bodies' names, "" for a single material, and the stress up to
+    which a stress counts as rounding, Pa."""
+    laws = {body.name: body.material for body in step.model.bodies} or {"": step.model.material}
     of_laws = {name: rest_stress_and_modulus(law) for name, law in laws.items()}
-    rounding = _ROUNDING * max((abs(modulus) for _, modulus in of_laws.values()), default=0.0)
+    rounding = _ROUNDING * max(abs(modulus) for _, modulus in of_laws.values())
     return {name: stress for name, (stress, _) in of_laws.items()}, rounding

@@ -51,6 +51,7 @@ class DamageSlope(Variable):
     kind: str = "vector"
 
     is_strain = False
+    own_scale = 0.0
     creeps = False
 
     def rate(self, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
