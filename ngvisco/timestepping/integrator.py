@@ -279,7 +279,8 @@ class Integrator:
         for name, work in self._velocity.works(rows, v, moving).items():
             rates[f"power_wall_{name}"] += work / tau
         of_limiter = self._velocity.works(impulse - rows, v, moving) if is_changed else {}
-        return step.evolved(), limited, {LIMITER: limiter_energy, LIMITER_WALLS: -sum(of_limiter.values())}
+        lost = {LIMITER: limiter_energy, LIMITER_WALLS: 0.0 - sum(of_limiter.values())}
+        return step.evolved(), limited, lost
 
     def _limiter_energy_of_momentum(self, stage: Evolved) -> float:
         """Limit the momentum density.  Return -<change of m, V> with the velocity V of a stage, J."""
