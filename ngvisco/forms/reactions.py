@@ -65,9 +65,10 @@ class WallReactions:
             interpolate(interpolated, motion)
             self._tests.append(interpolated.vec.FV().NumPy().copy())
         self._weights = self._shares()
-        # impermeable walls alone need this integral: on other walls the residual contains it
+        # only walls in whose rows v is held need this integral: other walls have it in the residual or in the
+        # term of their multipliers
         free = step.layout.velocity_space((None,) * step.mesh.dim)
-        self._closed = facet_indicator(step.mesh, [name for name in walls if name not in step.walls.crossed])
+        self._held = facet_indicator(step.mesh, {*walls} - {*step.walls.crossed, *step.walls.multiplied})
         normal_test = free.TestFunction() * step.context.normal
         self._energy = LinearForm(free)
         # a trace may have no energy although all points of the cells' rule have one
@@ -110,7 +111,7 @@ class WallReactions:
 
     def _energy_flux(self, u: Fields) -> CoefficientFunction:
         """The pressure that the residual lacks on walls that nothing crosses, Pa."""
-        return if_positive(self._closed, self._beside(u), 0.0)
+        return if_positive(self._held, self._beside(u), 0.0)
 
     def _own_terms(self, name: str, u: Fields) -> list[list[CoefficientFunction]]:
         """Integrands of given stress, friction and multiplier on a wall, for each rigid motion."""
@@ -154,7 +155,7 @@ class WallReactions:
         is_projected = CF(1.0)
         if energy.projected is None:
             is_projected = is_number(energy.anywhere(step.now), 0.0, 1.0)
-        factor = if_positive(self._closed, is_projected, 0.0) * normal
+        factor = if_positive(self._held, is_projected, 0.0) * normal
         if name in step.walls.multiplied and name not in step.walls.crossed:
             along = self.motions[motion] * step.context.normal
             factor = factor - facet_indicator(step.mesh, [name]) * is_projected * along

@@ -2,8 +2,8 @@
 
 Transport smears a jump of the amounts n_i over more and more cells. After each step
 (``Discretisation.sharp``) two moves separate bodies i and j in cells that contain no other body, and a third
-move restores determinants. No planes are placed in cells with more than two bodies, and in cells that an
-interface crosses within one step (lower than the strips swept through them). In cells with more than two
+move restores determinants. Two kinds of cells have no planes: cells with more than two bodies, and cells that
+an interface crosses within one step (lower than the strips swept through them). In cells with more than two
 bodies negative means are filled up too, and one factor for all slopes brings fractions into [0, 1].
 
 1. *Between cells.*  The step has carried the amounts F_i, F_j out of a cell through a facet.  At the start

@@ -8,8 +8,8 @@ force that nothing balances, and is refused (``ngvisco.physics.energy_checks``).
 In a cell with a jump of the parameter, the carried number is a mean over both sides.  The mean of theta
 itself (arithmetic) is wrong by far for a modulus that jumps by orders of magnitude: a share of 1e-5 with the
 value 1e6 adds 10 to the value 1 of the rest.  ``Parameter.mean`` chooses the function of theta that is
-carried.  If a modulus is a function of the place, the law chooses this function. A creep modulus G_m belongs
-to a dashpot in series with a spring, and is carried by its fluidity 1/G_m. Other moduli > 0 are carried by
+carried.  If a modulus is a function of the place, its law chooses ``mean``. A creep modulus G_m belongs to a
+dashpot in series with a spring, and is carried by its fluidity 1/G_m. Other moduli > 0 are carried by
 their logarithm. Moduli that may be 0 are carried by their eighth root, with which a share of 1e-5 adds 4e-4.
 Temperatures, densities and fluidities are carried themselves.
 

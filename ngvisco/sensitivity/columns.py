@@ -25,6 +25,7 @@ _TABLES = (Probes, Integrals, WallForces, Bodies)
 _RATES = ("dissipation", "power", "production", "flux")
 _COUNT, _ROUNDING = "this column is a count", "this column measures rounding"
 _FROZEN = "derivatives treat the limiter's changes as constant"
+_OF_MULTIPLIERS = "the impulse of oblique and curved walls at a step's end has no derivative"
 _OF_LENGTH = "derivatives treat the lengths of steps as constant"
 _REFUSED = {
     **dict.fromkeys(("newton_iterations", "rejections", "limited_cells", "passive_unsolved"), _COUNT),
@@ -82,6 +83,9 @@ class Columns:
         refused |= dict.fromkeys(
             ledger.momentum.balances, "this column is the change of the momentum minus the impulses"
         )
+        step = simulation.rothe_step
+        if step.walls.multiplied and not simulation.integrator.scheme.ends_at_last_stage:
+            refused |= {f"power_wall_{name}": _OF_MULTIPLIERS for name in step.moving_walls.moving}
         for table in self._tables:
             refused |= table.jumping if isinstance(table, Bodies) else {}
         for name in self.names:
@@ -89,10 +93,7 @@ class Columns:
                 raise ParameterError("of", name, f"a column that has a derivative, but {refused[name]}")
             require_known("column", [name], differentiable, "of")
             if (count := [*ledger.columns, *chain.from_iterable(of_tables)].count(name)) > 1:
-                expected = (
-                    f"the name of one column, but {count} columns have this name; rename the column of a "
-                    "table"
-                )
+                expected = f"the name of one column, but {count} columns have it; rename a table's column"
                 raise ParameterError("of", name, expected)
 
         def mask(kind: Collection[str]) -> np.ndarray:

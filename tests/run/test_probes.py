@@ -7,7 +7,7 @@ import pytest
 from ngsolve import CF, x, y
 
 import ngvisco as nv
-from ngvisco.geometries import box, disc, structured_box
+from ngvisco.geometries import box, disc, half_disc, structured_box
 
 MATERIAL = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
 VISCOSITY = nv.StokesViscosity(K_v=1.0, G_v=1.0)
@@ -99,6 +99,31 @@ def test_torque_on_a_curved_wall_balances_the_angular_momentum():
     rate = np.diff(spin.column("L")) / 0.01
     assert forces.column("wall.torque") == pytest.approx(-rate, rel=1e-3)
     assert forces.column("wall.torque")[0] == pytest.approx(0.5 * 0.1 * 2 * math.pi, rel=0.1)
+
+
+@pytest.mark.parametrize("axis", [nv.Slip(), nv.NoSlip()])
+def test_a_straight_wall_bears_the_pressure_of_a_body_at_rest_up_to_its_ends_at_a_curved_wall(axis):
+    """The axis of the half disc is 2 m long. The curved wall ends at both ends of the axis."""
+    forces, K_e = nv.WallForces(), 10.0
+    run = nv.Simulation(
+        half_disc(1, 0.7),
+        nv.Model(material=MATERIAL, viscosity=VISCOSITY, loads=[nv.Gravity((-1.0, 0.5))]),
+        dt=0.02,
+        walls={"axis": axis},
+        initial=nv.Initial(density=1.0),
+        observers=[forces],
+    )
+    ledger = run.run(0.04)
+    for i in ("1", "2"):
+        total = forces.column(f"axis.force_{i}") + forces.column(f"wall.force_{i}")
+        impulse = -ledger.column(f"impulse_walls_{i}")[1:] / 0.02
+        assert total == pytest.approx(impulse, abs=1e-6) and abs(impulse).min() > 1e-2
+    at_rest = nv.Simulation(
+        half_disc(1, 0.7), nv.Model(material=MATERIAL), dt=0.02, walls={"axis": axis}, observers=[forces]
+    )
+    at_rest.run(0.02)
+    # epsilon adds 5e-4 Pa to the pressure of 1.5 K_e
+    assert abs(forces.column("axis.force_1")[-1]) == pytest.approx(2 * 1.5 * K_e, rel=1e-4)
 
 
 def test_forces_of_a_periodic_strip_of_one_cell_balance_its_momentum():

@@ -12,6 +12,7 @@ from test_adjoint import between, curved, directional, smooth
 from test_models import heated
 
 import ngvisco as nv
+from ngvisco.geometries import half_disc
 from ngvisco.sensitivity.distance_slopes import DistanceSlopes
 from tests.verification.cases.sensitivities import measure
 
@@ -198,9 +199,26 @@ def test_columns_without_a_derivative_are_refused_with_the_reason(method, column
         nv.gradient(run(), UNTIL, of=[f"{column} at 0.06"], by=["creep.G_m"], method=method)
 
 
+@pytest.mark.parametrize("scheme", ["midpoint", "backward-euler"])
+def test_the_power_of_a_wall_beside_a_curved_wall_has_a_derivative_if_a_stage_ends_the_step(scheme):
+    simulation = nv.Simulation(
+        half_disc(1, 0.7),
+        nv.Model(material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)),
+        time=nv.TimeSteps(dt=0.02, scheme=scheme),
+        walls={"axis": nv.PrescribedTangential((0.0, nv.time))},
+        initial=nv.Initial(density=1.0),
+    )
+    derivative = partial(nv.gradient, simulation, 0.02, of=["power_wall_axis at 0.02"], by=["material.G_e"])
+    if scheme == "midpoint":
+        with pytest.raises(nv.ParameterError, match=r"power_wall_axis.*oblique and curved walls"):
+            derivative()
+    else:
+        assert derivative().values[0] == simulation.run(0.02).column("power_wall_axis")[-1]
+
+
 @pytest.mark.parametrize("method", ["tangent", "adjoint"])
 def test_a_name_that_two_columns_have_is_refused(method):
     """Without an error, the column of the table would silently take the place of the ledger's column."""
     simulation = run(observers=[nv.Integrals({"kinetic": "density"})])
-    with pytest.raises(nv.ParameterError, match="the name of one column, but 2 columns have this name"):
+    with pytest.raises(nv.ParameterError, match="the name of one column, but 2 columns have it"):
         nv.gradient(simulation, UNTIL, of=["kinetic at 0.06"], by=["creep.G_m"], method=method)
