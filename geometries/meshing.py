@@ -47,7 +47,7 @@ CURVE_ORDER = 3
 """Default order of curved cells, one above the velocity's, so that the geometry's error does not dominate."""
 
 MAX_CELLS = 1_000_000
-"""Largest number of cells of a mesh, for which Netgen takes a minute or more."""
+"""Largest number of cells of a mesh; Netgen takes a minute or more for such a mesh."""
 
 _SIZES = (1e-30, 1e30)  # m; areas and volumes then stay far from under- and overflow
 _ORDER_ONE = (1e-2, 1e2)
@@ -97,9 +97,9 @@ def check_order(owner: str, order: int) -> None:
 class Domain:
     """A domain that is built and meshed in a unit of length in which its size is of order one.
 
-    ``sizes`` are parameters of ``owner`` and gaps, with their values, m; ``round_ones`` names the radii of
-    curved walls.  Raises ParameterError for an invalid length, a length below 1e-6 of the largest, or a
-    radius too small for OpenCASCADE.
+    ``sizes`` are lengths and gaps, m, each with the parameter of ``owner`` on which it depends;
+    ``round_ones`` names the radii of curved walls.  Raises ParameterError for an invalid length, a length
+    below 1e-6 of the largest, or a radius too small for OpenCASCADE.
 
     Attributes
     ----------

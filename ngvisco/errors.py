@@ -82,7 +82,7 @@ def planar(field: str, function: Any, dim: int) -> Any:
 
 
 def require_known(kind: str, names: Iterable[str], known: Collection[str], key: str = "") -> None:
-    """Raise UnknownNameError for the first name that is not in ``known``; ``key[]`` is a table of names."""
+    """Raise UnknownNameError for the first name not in ``known``; the name is put into [] of ``key``."""
     for name in names:
         if name not in known:
             raise UnknownNameError(kind, name, known, key.replace("[]", f"[{name!r}]"))
@@ -156,7 +156,7 @@ class NgviscoWarning(UserWarning):
 
 
 class InputWarning(NgviscoWarning):
-    """Input that may be meant differently from how the model takes it; the message says what to change."""
+    """Input that the user may mean in another sense than the model; the message says what to change."""
 
 
 class Quantity(NamedTuple):

@@ -40,7 +40,7 @@ NOT_QUICK = {
     ),
     *(f"physics/test_{name}.py" for name in ("material_laws", "variables")),
 }
-"""Modules of the edit loop's rooms that take too long for it."""
+"""Modules of the edit loop's rooms that take too long for the edit loop."""
 
 
 @pytest.hookimpl(wrapper=True)

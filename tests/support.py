@@ -381,7 +381,9 @@ def assert_closed(run: nv.Simulation, until: float, bound: float = 1e-12) -> Led
 def assert_goes_on(
     make: Callable[..., nv.Simulation], path: Path, until: float, *steps: int
 ) -> nv.Simulation:
-    """Assert that a run resumed from checkpoints equals the uninterrupted run bit by bit; return the latter.
+    """Assert that a run resumed from checkpoints equals the uninterrupted run bit by bit.
+
+    Return the uninterrupted run.
 
     ``make`` makes a run with observers; ``steps`` are the steps of the checkpoints, -1 for the last but
     one."""

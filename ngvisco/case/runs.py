@@ -231,7 +231,7 @@ def _taken_over(old: Simulation, origin: dict[str, Any], simulation: Simulation)
 
 
 def _mesh_of_first(case: Case, ranks: Communicator, make: Callable[[], Mesh]) -> Mesh:
-    """The distributed mesh, made by the first rank; its error is raised on every rank."""
+    """The distributed mesh, which the first rank makes; an error of ``make`` is raised on every rank."""
     meshes: list[Mesh] = []
     ranks.on_first(lambda: meshes.append(make()))
     with case.locator.located("domain"):

@@ -103,8 +103,8 @@ class Converter:
     """
 
     def __init__(self, chosen: Any, directory: Path = Path()) -> None:
-        """``chosen`` is the value of ``[units]``, which need not be a table; files' paths start at
-        ``directory``."""
+        """``chosen`` is the value of ``[units]``, also a wrong value that is no table; relative paths start
+        at ``directory``."""
         self._directory = directory
         self.faults: list[tuple[tuple[str, ...], str]] = []
         self.converted: list[tuple[str, Any]] = []

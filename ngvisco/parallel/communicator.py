@@ -270,7 +270,7 @@ class Communicator:
         return list(dict.fromkeys(text for of_rank in notes for text in of_rank))
 
     def on_first(self, work: Callable[[], Result]) -> Result:
-        """Return the result of the first rank's ``work`` on every rank; its error is raised on every rank."""
+        """Return the result of the first rank's ``work`` on every rank, or raise its error on every rank."""
         if self.size == 1:
             return work()
         with self.together(BaseException):

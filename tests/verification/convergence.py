@@ -171,7 +171,7 @@ def coupled_rates(
     sources: Callable[..., Sources] = Sources,
 ) -> RateTable:
     """Errors in space, in L2 after two steps of 0.05 s, of the whole system of ``model``, in the unit ball if
-    ``curved``.  Negative controls give ``sources`` that differ from those of the exact fields."""
+    ``curved``.  Negative controls give ``sources`` other than the sources of the exact fields."""
     system = model(kind, dim, p, regularised, delta, nu, rule)
     terms = (", all terms" if delta else ", all terms but delta") if regularised else ""
     table = RateTable(f"coupled, {kind}, {dim}D, p = {p}, k = {k}, m = {m}{terms}")

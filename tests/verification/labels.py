@@ -23,8 +23,12 @@ _WORDS = ("cut-off", "J-min")
 
 @dataclass(frozen=True)
 class Label:
-    """A label of the paper: the larger label that it is a part of and measured with (or ""), its meaning,
-    tests as ``FILE::TEST`` below ``tests/``, and, if nothing measures it, the reason."""
+    """A label of the paper.
+
+    ``whole`` is the larger label of which the label is a part and with which it is measured, or "".  ``what``
+    is the meaning of the label.  ``tests`` are its tests, as ``FILE::TEST`` below ``tests/``.  ``reason``
+    says why nothing measures the label.
+    """
 
     name: str
     whole: str

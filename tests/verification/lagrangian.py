@@ -66,8 +66,8 @@ class ThrownDisc(LagrangianSolid):
 
     ``start`` is the velocity, m/s, mirrored about y = 0; ``gap`` the distance of the wall, on the right, m.
     Each step has a row of ``rows``: the time, s, and for the whole disc the momentum along x, kg/s, and the
-    kinetic, stored and penalty energies, the energy dissipated by viscosity so far, and that of the medium,
-    J/m.
+    kinetic, stored and penalty energies, the energy dissipated by viscosity so far, and the energy of the
+    medium, J/m.
     """
 
     def __init__(

@@ -125,7 +125,7 @@ def draw(plot: Plot) -> bytes:
 # --- the kept report ------------------------------------------------------------------------------------
 
 FIRST = "e85ab32"
-"""The commit of rows that name none: that of the last whole report, or an earlier commit."""
+"""The commit of rows that name none: the commit of the last whole report, or an earlier one."""
 _ROW = re.compile(r"^\| ([^|]*) \| \[([\w-]+)\]\(.*\| (\d+) s \|(?: ([^|]*) \|)?$")
 
 

@@ -38,7 +38,7 @@ _KIND = "ngvisco verification report"
 
 
 class ReportDirectory:
-    """A report's directory: a new one, or with ``resume`` that of an earlier report.
+    """A report's directory: a new one, or with ``resume`` the directory of an earlier report.
 
     Raises VerificationError for other contents at the path, for an earlier report without ``resume``, and for
     ``resume`` without an earlier report.

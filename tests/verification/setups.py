@@ -53,7 +53,7 @@ def fluid(bulk: float) -> nv.Material:
 
 
 def at_rest(stiffness: float, weight: CoefficientFunction) -> CoefficientFunction:
-    """The distortion F of hydrostatic rest in ``fluid(stiffness)``, whose J solves J J' = rho_R g/K_e. The
+    """The distortion F at hydrostatic rest in ``fluid(stiffness)``; J = det F solves J J' = rho_R g/K_e. The
     argument ``weight`` is the integral of rho_R g from the place where J = 1, Pa."""
     return (1 + 2 / stiffness * weight) ** (1 / 6) * Id(3)
 
@@ -127,7 +127,7 @@ def block(
     of: nv.Material | None = None,
     **parts: Any,
 ) -> nv.Simulation:
-    """The block of ``SETTING``; ``creep`` is G_m or a law, ``of`` a material, ``parts`` further arguments."""
+    """The block of ``SETTING``; ``creep`` is G_m or a flow rule; ``parts`` are further arguments."""
     regularisation, mesh = parts.pop("regularisation", None), mesh or square_mesh(0.5)
     if not isinstance(viscosity, nv.StokesViscosity):
         viscosity = stokes(viscosity)
