@@ -491,6 +491,7 @@ def test_the_end_time_may_miss_a_multiple_of_the_step_by_rounding():
     [
         ({"initial": nv.Initial(density=1 + z)}, "Initial.density"),
         ({"initial": nv.Initial(velocity=(z, 0))}, "Initial.velocity"),
+        ({"initial": nv.Initial(values={"J": 1 + z})}, r"Initial.values\['J'\]"),
         ({"walls": {"top": nv.Open(pressure=z)}}, r"walls\['top'\].pressure"),
         ({"walls": {"top": nv.Traction(f=(z, 0))}}, r"walls\['top'\].f"),
         ({"model": nv.Model(material=NEO_HOOKEAN, loads=[nv.Gravity((0, -z))])}, r"loads\['gravity'\].g"),
@@ -498,7 +499,7 @@ def test_the_end_time_may_miss_a_multiple_of_the_step_by_rounding():
         ({"model": nv.Model(bodies=[of("a", 0.5 - z), of("b", None)])}, "Where.function"),
         ({"observers": [nv.Integrals({"a": "z*density"})]}, r"Integrals.integrands\['a'\]"),
     ],
-    ids=["density", "velocity", "pressure", "traction", "load", "modulus", "body", "integral"],
+    ids=["density", "velocity", "value", "pressure", "traction", "load", "modulus", "body", "integral"],
 )
 def test_a_function_of_z_is_refused_in_the_plane(options, field):
     """NGSolve's z is 0 on a mesh of two dimensions."""
@@ -518,6 +519,6 @@ def test_a_function_of_time_that_the_run_does_not_reach_is_warned_of(name, where
     walls = {"top": nv.Open(pressure=given)} if where == "wall" else {}
     run = simulation(nv.Model(material=NEO_HOOKEAN, viscosity=STOKES, loads=loads), walls=walls)
     run.check_data(0.1)
-    said = [str(w.message) for w in recwarn if "but the run is from 0 to 0.1 s" in str(w.message)]
+    said = [str(w.message) for w in recwarn if "the run is from 0 to 0.1 s; give times" in str(w.message)]
     assert bool(said) == (name in ("late", "over", "late step"))
     assert all("gravity" in text or "walls['top'].pressure" in text for text in said)

@@ -96,8 +96,9 @@ def _warn_of_late(step: Step, field: str, function: CoefficientFunction, times: 
     if not breaks or len({tuple(sampled(function)) for _ in _at(times)}) > 1:
         return
     if min(breaks) >= end or (max(breaks) <= 0 and "bspline" in str(function)):
-        when = f"from {min(breaks):g} to {max(breaks):g} s, but the run is from {begin:g} to {end:g} s"
-        Communicator.of(step.mesh).warn(f"{field} changes {when}", InputWarning, stacklevel=5)
+        when = f"from {min(breaks):g} s on" if min(breaks) >= end else f"until {max(breaks):g} s"
+        remedy = f"the run is from {begin:g} to {end:g} s; give times in the run, unless it goes on later"
+        Communicator.of(step.mesh).warn(f"{field} changes only {when}, but {remedy}", InputWarning, 5)
 
 
 def check_walls(step: Step, times: Iterable[float]) -> None:

@@ -9,7 +9,7 @@ from typing import Annotated, Literal, TypeAlias
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Det, Id, TaskManager, specialcf
 
-from ngvisco.errors import InitialDataError, ParameterError, Quantity, require_fields
+from ngvisco.errors import InitialDataError, ParameterError, Quantity, planar, require_fields
 from ngvisco.forms.boundary.wall_projections import project_velocity
 from ngvisco.forms.bounds import Bounds
 from ngvisco.forms.fields import Fields
@@ -132,7 +132,7 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFu
         The initial elastic distortion F_0, 3x3, from the data or from a start value that determines it.
     """
     if step.sources is None:  # a manufactured state may read the time
-        _require_no_time(initial)
+        _require_place(initial, step.mesh.dim)
     try:
         values, density, F = _data(step, initial, sampler)
         _project(step, initial, sampler, values, density)
@@ -312,14 +312,15 @@ def _check_moduli(step: Step, told: StartValues, parameters: Given, sampler: Sam
             raise InitialDataError(name, f"the minimum is {least:.6g}", "values >= 0", name)
 
 
-def _require_no_time(initial: Initial) -> None:
-    """Raise ParameterError for a start value that is a function of the time."""
+def _require_place(initial: Initial, dim: int) -> None:
+    """Raise ParameterError for a start value that is a function of the time, or of z in the plane."""
     given = {name: getattr(initial, name) for name in ("density", "velocity", "F", "temperature")}
     given |= {f"values[{name!r}]": value for name, value in initial.values.items()}
     for name, value in given.items():
-        if any(reads_time(part) for part in _functions_in(value)):
-            expected = "a function of the place alone, but the given function reads the time"
-            raise ParameterError(f"Initial.{name}", value, expected)
+        for part in _functions_in(value):
+            if reads_time(planar(f"Initial.{name}", part, dim)):
+                expected = "a function of the place alone, but the given function reads the time"
+                raise ParameterError(f"Initial.{name}", value, expected)
 
 
 def _functions_in(value: object) -> Iterator[CoefficientFunction]:
