@@ -25,7 +25,7 @@ _TABLES = (Probes, Integrals, WallForces, Bodies)
 _RATES = ("dissipation", "power", "production", "flux")
 _COUNT, _ROUNDING = "this column is a count", "this column measures rounding"
 _FROZEN = "derivatives treat the limiter's changes as constant"
-_OF_MULTIPLIERS = "the impulse of oblique and curved walls at a step's end has no derivative"
+_OF_MULTIPLIERS = "the end impulse of oblique and curved walls has none; take backward-euler or sdirk2"
 _OF_LENGTH = "derivatives treat the lengths of steps as constant"
 _REFUSED = {
     **dict.fromkeys(("newton_iterations", "rejections", "limited_cells", "passive_unsolved"), _COUNT),

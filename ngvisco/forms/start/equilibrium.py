@@ -175,8 +175,7 @@ class Column:
         wall = self.step.walls.conditions[datum] if isinstance(datum, str) else None
         if isinstance(wall, Open) and wall.traction is None:
             given, inside = at(CF(wall.pressure)), at(self.pressure)
-            size = max(*map(abs, self.sampler.extrema(self.pressure)), abs(given))
-            if abs(inside - given) > _UNEQUAL * size:
+            if abs(inside - given) > _UNEQUAL * max(map(abs, (given, *self.sampler.extrema(self.pressure)))):
                 self._warn(
                     f"Initial.datum_pressure gives {inside:.4g} Pa at the start on the wall {datum!r}, whose "
                     f"own pressure is {given:.4g} Pa; the difference loads the body from the first step on"

@@ -18,7 +18,7 @@ from collections.abc import Sequence
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Mesh
 
-from ngvisco.errors import ParameterError
+from ngvisco.errors import ParameterError, planar
 from ngvisco.forms.boundary.boundaries import facet_indicator
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import PointTerm, Term
@@ -44,8 +44,11 @@ class WallFlux:
     """The flux into the body through one wall, flux + coefficient (outside - potential); zero elsewhere."""
 
     def __init__(self, mesh: Mesh, wall: str, *given: Function | None) -> None:
-        """``given`` are ``outside``, the coefficient and the flux, in this order; None stands for zero."""
-        self._given = facet_indicator(mesh, [wall]), *(CF(0.0 if f is None else f) for f in given)
+        """``given`` are ``outside``, the coefficient and the flux, in this order; None stands for zero.
+
+        Raises ParameterError for a function that reads z in the plane."""
+        functions = (planar(f"walls[{wall!r}]", CF(0.0 if f is None else f), mesh.dim) for f in given)
+        self._given = facet_indicator(mesh, [wall]), *functions
 
     def values(self, u: Fields) -> Sequence[CoefficientFunction]:
         """The wall's indicator, the outside potential, the coefficient and the flux, as a step reads them."""
