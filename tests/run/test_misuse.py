@@ -320,7 +320,7 @@ class Meddler(nv.Observer):
 
 def test_an_observer_cannot_set_the_time(mesh):
     run = simulation(mesh, Meddler())
-    with pytest.raises(nv.ParameterError, match=r"Simulation\.t = 0\.5: expected no assignment"):
+    with pytest.raises(nv.ParameterError, match=r"Simulation\.t = 0\.5: expected no change of a run"):
         run.run(2 * DT)
     assert run.t == DT
 

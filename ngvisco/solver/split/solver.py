@@ -69,7 +69,7 @@ class Split:
 
     def __init__(self, step: Step, norm: BlockNorm, options: NewtonOptions, exchange: Exchange) -> None:
         """``exchange`` belongs to the step's space."""
-        self.step, self.norm, self.options = step, norm, options
+        self.step, self.norm, self.options, self._exchange = step, norm, options, exchange
         self.is_factorised = False
         return_large_arrays()
         self.residual = ReducedResidual(step, exchange, Workers(options.threads, exchange.communicator.size))
@@ -147,7 +147,7 @@ class Split:
             at = self.residual(self.unknowns.pack())
             return self.size(self.preconditioner(replace(at, residual=at.residual - rows), _LOOSEST))
 
-        return self.norm.noise(self.step.state.vec, self.residual.exchange, size)
+        return self.norm.noise(self.step.state.vec, self._exchange, size)
 
     def increment(
         self, problem: Problem, x: np.ndarray, at: Evaluation, last: float, expected: float = np.inf
