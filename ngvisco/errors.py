@@ -1,7 +1,7 @@
 """Typed errors: each names the field, the value and the expected value.
 
-``NgviscoError`` is the root of all errors of ngvisco, so that a caller can catch these alone, and
-``NgviscoWarning`` is the root of its warnings.
+``NgviscoError`` is the root of all errors of ngvisco, so that a caller can catch these alone.
+``NgviscoWarning`` is the root of all warnings of ngvisco.
 """
 
 import dataclasses

@@ -1,8 +1,8 @@
 """Printing of warnings: each warning of ngvisco appears once, without its place in the code.
 
-Python prints a warning with the file and the source line that raised the warning.  For ngvisco these are
-inside the package.  Python also repeats a warning if a filter has changed meanwhile.  Other packages'
-warnings are printed as before.
+Python prints a warning with the file and the source line that raised the warning.  For a warning of ngvisco,
+this file is a module of the package.  Python also repeats a warning if a filter has changed meanwhile.  Other
+packages' warnings are printed as before.
 Filters, ``pytest.warns`` and ``warnings.catch_warnings(record=True)`` see every warning as usual.
 """
 

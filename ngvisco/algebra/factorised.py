@@ -61,7 +61,7 @@ Factorising = Callable[[np.ndarray, sp.csr_matrix, bool], Direct]
 
 
 class DirectSolver:
-    """A direct solver in the free unknowns of a mask; other unknowns are set to 0.
+    """A direct solver for the unknowns that the mask ``free`` marks; other unknowns are set to 0.
 
     If ``symmetric`` is True, the solver takes the matrix's symmetric part.  If ``approximate`` is True, the
     solver uses factors in single precision where these are accurate enough; such factors take half of the

@@ -64,8 +64,8 @@ class LocalMatrix:
 
         ``weights``, (rows,), are the weights of a quadrature rule, by which ``test`` and ``loads`` multiply.
         ``pieces`` is the number of equal parts of a cell's rows (the cell's sides).  All parts have nodes at
-        the same places; by default all rows are nodes.  ``other`` has the same functions at the points of
-        another rule; the nodes of ``other`` are used here too if all rows follow from them.
+        the same places; with ``pieces`` = 0 every row is a node.  ``other`` has the same functions at the
+        points of another rule; the nodes of ``other`` are used here too if all rows follow from them.
         """
         self.cells, self.weights, self.pieces = cells, weights, pieces
         self.height, self.width = matrix.shape

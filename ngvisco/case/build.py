@@ -151,7 +151,8 @@ class Case:
 
     @property
     def carried(self) -> str:
-        """The material's variables, and its elastic state if the case leaves it open; empty for bodies."""
+        """Names of the material's variables, and the elastic state if the case does not choose it; empty for
+        bodies."""
         if self.sections.material is None:
             return ""
         material = self.sections.material.built

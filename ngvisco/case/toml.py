@@ -61,7 +61,7 @@ def line_of(lines: Mapping[tuple[str, ...], int], path: tuple[str, ...]) -> int 
 
 
 def parse_override(setting: str) -> tuple[tuple[str, ...], Any]:
-    """Key path and value of ``key.path=value``.  A value that is not TOML is a text; ``a[0]`` means ``a.0``.
+    """Key path and value of ``key.path=value``; ``a[0]`` means ``a.0``.  A value that is not TOML is a text.
 
     Raises ValueError if there is no ``=`` or no key.
     """

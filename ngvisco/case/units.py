@@ -162,7 +162,8 @@ class Converter:
             is_region = isinstance(value, str) and _is(parse_region, value)
             return self._in_si_places(value) if is_region else value
         if annotation is EnergyText:
-            # the value is in units of the case, the variables are numbers; [units] has no unit for J/kg
+            # variables of an energy are numbers without units, so that one factor converts the energy; with
+            # per = "mass" the factor is 1, since [units] has no unit for J/kg
             scale = 1.0 if data.get("per") == "mass" else self._scale(unit)
             return value if scale == 1.0 or not isinstance(value, str) else f"({value})*{scale!r}"
         is_function = values_of(model).get(name, NUMBERS) is not NUMBERS

@@ -122,8 +122,8 @@ class LinearisationStress:
         self._target: np.ndarray | None = None
 
     def refresh(self, sampled: Callable[[], _Sampled] | None = None) -> None:
-        """Compute the stresses M* of the present state, from the target Y of ``follow``. Without a target
-        they are M(z), with new slopes.
+        """Compute the stresses M* of the present state, from the target Y of ``follow``. Without a target,
+        the stresses are M(z), and the slopes are computed anew.
 
         ``sampled`` returns z and zeta at the collocation points.
         """

@@ -171,7 +171,8 @@ def _at_pressure(
         for part in (bulk_pressure(material, exp(logarithm), {}, theta) / modulus, p / modulus)
     )
     excess = law - target - if_positive(logarithm - _VACUUM, logarithm - _VACUUM, CF(0.0))
-    # forms that are linearised cannot contain NewtonCF; with ``time - time`` facets evaluate J once a step
+    # forms that are linearised cannot contain NewtonCF. With ``time - time``, J counts as a function of
+    # time, whose values on facets are computed once a step, outside the forms
     J = exp(NewtonCF(excess, CF(0.0), tol=_INVERTED, maxiter=_STEPS)) + (time - time)
     return {v.name: v.from_distortion(J ** (1 / 3) * Id(3)) for v in material.variables if v.is_strain}
 

@@ -131,7 +131,7 @@ class Impulses:
 
     @cached_property
     def _is_held(self) -> np.ndarray:
-        """Mask of the motions with coefficients that walls hold, (motions,)."""
+        """Mask of the motions with a nonzero coefficient of v that walls hold, (motions,)."""
         layout = self.step.layout
         every = mask_of(layout.velocity_space((None,) * self.step.mesh.dim).FreeDofs())
         held = every & ~mask_of(layout.blocks["v"].FreeDofs())

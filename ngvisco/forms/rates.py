@@ -391,7 +391,7 @@ class TabulatedRates(Rates):
         return parts if along.hoop is None else [*parts, along.hoop * Array(stress[plane], None)]
 
     def entries_of_L(self, along: UnknownValues) -> np.ndarray:
-        """Entries of L among the X, (gradients, points)."""
+        """Entries of L, which are the first entries of X = (L, Pi), (gradients, points)."""
         entries = along.grad_v.value.reshape(self.dim**2, -1)
         return entries if along.hoop is None else np.concatenate([entries, along.hoop.value[None]])
 

@@ -209,7 +209,7 @@ class Sharpening:
 
     def _behind(self, u: np.ndarray, i: int, j: int) -> np.ndarray:
         """Values at corners, (cells, corners), of linear functions: > 0 in body i's part of a cell, < 0 in
-        body j's part, and 0 in cells without an interface.  If i and j change places, signs change.
+        body j's part, and 0 in cells without an interface.  Exchange of i and j changes the signs.
 
         The first normals are slopes of averaged differences of the fractions. The second normals are slopes
         of averaged distances from the first planes.

@@ -11,8 +11,8 @@ rows of a residual, its derivative by a complex increment of u, and columns of e
 ``u.context.average(value)`` is the function's mean over the step, in cells.
 
 A term that needs more than values at a point, such as an integral or another space, gives its ``form`` alone.
-All other data that a term reads must stay constant through the run: ``Parameter.Get()`` is evaluated once,
-when the form is built.
+All other data that a term reads must be constant during the run, because ``Parameter.Get()`` is evaluated
+only once, when the form is built.
 """
 
 from abc import abstractmethod
@@ -312,8 +312,8 @@ def tested(value: CoefficientFunction) -> Integrands:
 class Storing(Protocol):
     """A term with a time derivative, and therefore with a share of the energy E.
 
-    E is convex in the evolving unknowns: (rho, m, z), with the momentum functional m, and the unknowns of
-    further terms (paper: Euler-ED-basic-convexity-calculus).
+    E is convex in the evolving unknowns (paper: Euler-ED-basic-convexity-calculus). The evolving unknowns are
+    rho, the momentum functional m, z, and the evolving unknowns of further terms.
 
     ``energy(u)`` is the density of E in cells or on facets, a share of the ledger's column ``"kinetic"`` or
     ``"stored"``.  ``slope(b, d)`` is the density of E'(b)[d] at fixed m; it does not read the velocity of d.

@@ -86,8 +86,8 @@ def rule(
 ) -> Rule:
     """The rule of the mean over [begin, begin + length], s; for length 0 the mean is the value at ``begin``.
 
-    The function may break where one of the conditions changes its sign, and at the knots, s.  Each of
-    ``ranks`` has the values at its points.
+    The function may have kinks or jumps at the ``knots``, s, and where one of the ``conditions`` changes its
+    sign. Each of ``ranks`` has the values at its points.
     """
     if length == 0:
         return Rule(np.array([begin]), np.ones(1))

@@ -170,7 +170,7 @@ class ExpressionResponse:
         return Response(energy[:, 0], slope, hessian.reshape(n, size, size))
 
     def slope(self, z: np.ndarray) -> np.ndarray:
-        """phi'(z), both (N, points), real."""
+        """phi'(z) for real ``z``; z and phi'(z) are (N, points)."""
         values = self._values(self._first_compiled, z.T, 1 + self.size).T
         return where_energy_is(values[0], values[1:])
 

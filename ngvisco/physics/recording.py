@@ -3,7 +3,8 @@
 A function is called once with ``Recorded`` arrays, which note each operation of NumPy on them.  A program
 repeats these operations without the function's own code, which takes longer than the arithmetic if arrays
 are small.  Operations on constants alone are not noted, because their results are stored. Equal operations
-are noted once, and operations that no result needs are left out.  The results are the same to the bit.
+are noted once, and operations that no result needs are left out.  A program's results equal the function's
+results to the bit.
 
 Arrays that the function uses are constants of the program, unless they are arguments or read by ``datum``.
 After each ``begin`` a program reads the data of ``datum`` again, and repeats once the operations that depend

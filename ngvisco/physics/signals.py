@@ -126,9 +126,10 @@ def read_table(path: str | PathLike[str]) -> np.ndarray:
 
 
 def breaking(function: CoefficientFunction) -> tuple[list[CoefficientFunction], list[np.ndarray]]:
-    """Places where a function of time may break: the arguments of its ``IfPos``, and times of tables, s.
+    """Places where a function of time may have kinks or jumps: arguments of its ``IfPos``, and times, s.
 
-    The times are those of all tables of this process, because additional breaks do no harm to the rule.
+    The times are those of all tables of this process, also of tables that the function does not read, because
+    additional times do no harm to the rule of a mean.
     """
     return list(_choices(function)), list(_knots.values()) if "bspline" in str(function) else []
 

@@ -66,8 +66,8 @@ class Couplings:
 
     @property
     def continuity(self) -> list[PointTerm]:
-        """The continuity equation if it is linear in rho. Arrays evaluate it, and it is solved for the trace
-        of rho."""
+        """The continuity equation if it is linear in rho. Arrays evaluate the equation, and its terms on
+        facets determine rho_hat, the trace of rho."""
         return [] if self._is_bent else self.of_kernel["density"]
 
     @property

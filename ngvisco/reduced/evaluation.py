@@ -48,7 +48,8 @@ def on_sides(step: Step) -> list[str]:
 
 
 def names_of(step: Step, inside: bool) -> tuple[list[str], list[str]]:
-    """Two lists of unknowns: those with values at points, in cells or on sides, and those with gradients."""
+    """Two lists of names: of the unknowns with values at points, in cells or on sides, and of the unknowns
+    with gradients there."""
     cells, derived = in_cells(step.layout), derived_in_cells(step.layout)
     names = [*(cells if inside else (*on_sides(step), "zeta")), *derived]
     return names, cells if inside else [name for name in ("rho", "z", "zeta") if name in names]

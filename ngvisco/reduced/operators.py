@@ -114,7 +114,7 @@ class SideOperators(PointOperators):
         points = SidePoints(step.mesh, step.quadrature.facet_degree, step.layout.symmetry)
         super().__init__(step, points, points.per_cell)
         context = step.context
-        # one byte a point, since large meshes have many points
+        # a mask takes one byte a point; numbers would take eight
         self._inner = self._crossed = np.round(points.sample(context.inner)) == 1
         if context.crossed is not context.inner:
             self._crossed = np.round(points.sample(context.crossed)) == 1

@@ -147,8 +147,7 @@ class PointwiseSlope:
         return np.where(self.lagged, self._frozen[1], z_values)
 
     def _whole(self, z_values: np.ndarray) -> np.ndarray:
-        """phi'(z) of all variables at ``z_values``, where lagged variables have their values in
-        ``z_values``."""
+        """phi'(z) of all variables at ``z_values``; lagged variables are not replaced by their old values."""
         if np.iscomplexobj(z_values):
             z, dz = np.ascontiguousarray(z_values.real), np.ascontiguousarray(z_values.imag)
             return self._whole(z) + 1j * self._whole_derivative(z)(dz)

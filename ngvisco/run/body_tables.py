@@ -38,8 +38,9 @@ class SmearedWarning(NgviscoWarning):
 class Tractions:
     """Mean stress of bodies, and the force and torque that other bodies exert on them.
 
-    The stress sigma is the sum of elastic and viscous stress.  With a continuous chi, the fraction averaged
-    at the vertices, the force is -int sigma grad chi = int chi div sigma: walls have no part in it.
+    The stress sigma is the sum of elastic and viscous stress.  chi is the fraction averaged at the vertices,
+    a continuous function.  The force is -int sigma grad chi, which is int chi div sigma without the tractions
+    of walls.
     """
 
     def __init__(self, simulation: Simulation, fractions: FractionSamples) -> None:

@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 class Contours(Series):
     """The lines where the volume fraction of a body is one half, over time, in two dimensions.
 
-    The columns are ``step``, ``time`` (s), ``body``, the body's number from 1 as in the field ``body``,
-    ``line``, the number from 1 of a line of that body, and ``x``, ``y`` (m), row by row along the line with
-    the body on the left; a closed line ends with its first point.  In the .vtu files cells are segments, with
-    the numbers ``body`` and ``line`` at their points.
+    Each row is a point of a line.  The columns are ``step``, ``time`` (s), ``body`` (number of the body from
+    1, as in the field ``body``), ``line`` (number from 1 of the line of this body), ``x`` and ``y`` (m). The
+    rows follow the line with the body on the left; a closed line ends with its first point.  In the .vtu
+    files cells are segments, with the numbers ``body`` and ``line`` at their points.
     A run raises ParameterError for a model without bodies and in three dimensions, UnknownNameError for an
     unknown body.
 

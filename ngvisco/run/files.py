@@ -132,7 +132,7 @@ def mesh_in(path: Path) -> Mesh:
     if mesh.GetCurveOrder() > 1 and has_geometry(mesh):
         sizes = volume_and_surface(mesh)
         mesh.Curve(mesh.GetCurveOrder())
-        # the given geometry does not belong to the mesh
+        # sizes change if the given geometry does not belong to the mesh
         if not np.allclose(volume_and_surface(mesh), sizes, rtol=_DIGITS, atol=0):
             return Mesh(str(path))
     return mesh

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 _CHUNK = 1_000_000
-"""Number of pairs of points and segments in one array."""
+"""Number of pairs of a point and a segment whose distances are computed in one array."""
 _BEARING = 1.5
 """Distance, in cells, up to which two places of an outline that face each other transmit forces: two lips
 that are pressed together rest at 1.4 cells."""

@@ -132,8 +132,8 @@ def _connected(cells: np.ndarray, is_inside: np.ndarray) -> np.ndarray:
 
 
 def _followed(first: int, joints: list[tuple[int, int, np.ndarray]], count: int) -> dict[int, np.ndarray]:
-    """Displacement of each part that ``joints`` connect with the part ``first``: for each of the ``count``
-    periods, by how many of them the part is displaced.  The part ``first`` stays in its place."""
+    """Displacements of the parts that ``joints`` connect with the part ``first``, by part: the number of each
+    of the ``count`` periods in the displacement, (count,).  The part ``first`` stays in its place."""
     found, reached = {first: np.zeros(count, dtype=int)}, [first]
     while reached:
         part = reached.pop()

@@ -139,7 +139,7 @@ def run_refined(
     """
     require_type("run_refined.simulation", simulation, Simulation)
     require_type("run_refined.refinement", refinement, Refinement)
-    # the run has begun, or was carried over from another mesh
+    # a run that has begun, or was carried over from another mesh, is refused
     if simulation.number or simulation.ledger.balance is not None:
         expected = "a simulation that has made no step, and was not carried over from another mesh"
         raise ParameterError("run_refined.simulation", f"a simulation at step {simulation.number}", expected)

@@ -1,7 +1,7 @@
 """States as one HTML file with mesh, fields and viewer, which loads nothing from the network.
 
-A 2D mesh is drawn whole, a 3D mesh by its boundary and by a movable plane that cuts it open; every cell has
-its own values, so that jumps between cells show.  Several states have a slider of time.  The viewer
+A 2D mesh is drawn whole. A 3D mesh is drawn by its boundary and by a movable plane that cuts it open.  Every
+cell has its own values, so that jumps between cells show.  Several states have a slider of time.  The viewer
 (viewer.html) draws with a depth buffer of its own on a canvas: it needs neither WebGL nor a graphics card.
 """
 
@@ -21,8 +21,8 @@ from ngvisco.run.frames import Frame, frame_of, read_frame, read_series_files
 
 _VIEWER = Path(__file__).with_name("viewer.html")
 _PIECES = {2: 3, 3: 1}
-"""Number of parts of a cell's side, by dimension; fields are linear in a part.  In 3D cells stay whole, since
-the page holds all tetrahedra."""
+"""Number of parts of a cell's side, by dimension; fields are linear in a part.  In 3D cells are not divided,
+since the page holds all tetrahedra."""
 
 
 def write_scene(

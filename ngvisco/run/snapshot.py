@@ -265,7 +265,7 @@ def identity(simulation: RunState) -> dict[str, Any]:
     assert layout is not None and mesh is not None
     spaces = ", ".join(f"{name} {layout.blocks[name].ndof}" for name in layout.names)
     material = simulation.model.material
-    # the amounts in the state belong to these bodies
+    # amounts say which bodies the state contains
     amounts = [v for v in material.variables if isinstance(v, Amount)]
     return {
         "format": FORMAT,

@@ -243,7 +243,7 @@ class _Unions:
         volumes = np.bincount(of_new, points.weights, count)
         filled = np.bincount(of_old[here], weights[here], count)
         has_parts = np.bincount(of_old[here], minlength=count) > np.bincount(of_new, minlength=count)
-        # unions with the number -1 read the last entry
+        # points outside this rank's new cells have the number -1, and read the last entry, False
         unions = np.append(has_parts & (abs(filled - volumes) <= _WHOLE * volumes), False)
         self._count = int(unions.sum())
         number = np.where(unions, np.cumsum(unions) - 1, -1)

@@ -216,9 +216,10 @@ class Adjoint:
         whole: np.ndarray,
         loads: np.ndarray,
     ) -> None:
-        """Add the contributions of a combined end to ``loads``, the slopes by the stages' solutions.
+        """Add the contributions of a combined end to ``loads``.
 
-        The combined end is the present state. ``whole`` are the slopes by this end.
+        The combined end is the present state. ``loads`` are the slopes by the stages' solutions, and
+        ``whole`` are the slopes by the combined end.
         """
         base, starts = self.base, self.starts
         ranges = base.step.layout.ranges

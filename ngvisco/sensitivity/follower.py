@@ -56,8 +56,9 @@ class Follower:
     def finish(self, recorded: RecordedStep, states: Sequence[Evolved]) -> None:
         """Set the step's start for the evaluation of columns at the end of a step.
 
-        If the end of the step combines its stages, the weighted sum of ``states`` y_0, y_1, ... is the end,
-        and becomes the start here. If the end is the last stage's solution, the start of that stage is kept.
+        If the end of the step is a combination of the stages, this end, the weighted sum of ``states`` y_0,
+        y_1, ..., becomes the step's start. If the end is the last stage's solution, the start of that stage
+        is kept.
         """
         if recorded.is_combined:
             self.step.start_from(list(zip(recorded.weights, states, strict=True)))

@@ -61,7 +61,7 @@ class Starts:
 
     @cached_property
     def variations(self) -> Variations:
-        """Variations by the start state."""
+        """Slopes of integrals by the start state."""
         return Variations(self.step, self.fields()[0], self._state.vec, self._weight)
 
     @cached_property

@@ -127,7 +127,7 @@ _KEPT = "tangent"
 
 
 def _of_step(number: int) -> str:
-    """Part of the restart folder with derivatives of the columns in a step."""
+    """Name of the part of the restart folder that has the derivatives of the columns in a step."""
     return f"{_KEPT}-{number + 1:08d}"
 
 

@@ -15,10 +15,10 @@ class WallRows:
     """Columns that are weighted sums c . R(u; .) of the residual's rows: the weights c, and the slopes
     R_u^T c.
 
-    The weights of the rows are (numbers, unknowns); they follow from the weights of the columns in the
-    numbers, (numbers, columns).  A force has constant c; the power of a moving wall has c = v on the wall.
-    At a stage the densities of impulses contain the walls' multipliers. The equation of a combined end has no
-    multipliers, so that all of its rows are the walls' impulse.
+    The weights c, (numbers, unknowns), have a row for each differentiated number.  They follow from the
+    weights of the columns in the numbers, (numbers, columns).  A force has constant c; the power of a moving
+    wall has c = v on the wall. At a stage the densities of impulses contain the walls' multipliers. The
+    equation of a combined end has no multipliers, so that all of its rows are the walls' impulse.
     """
 
     def __init__(self, follower: Follower) -> None:

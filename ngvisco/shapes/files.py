@@ -70,7 +70,7 @@ class ClosedSurface(Shape):
                 self.path,
                 "no closed surface in a mesh of two dimensions, since a surface bounds no part of a plane",
             )
-        # a point is inside if the number is > 0; where parts overlap the number is larger
+        # ``crossings`` is 1 in the surface's inside, and larger where parts overlap
         inside = crossings(self.triangles, at.coordinates) > 0
         size = at.spacing.copy()
         near = at.of_cut_pieces(inside)

@@ -258,7 +258,7 @@ class Newton:
         """The size of the next increment, from the trial residual, and its ratio to the size of the last
         increment."""
         self.jacobian.solve(self._trial_residual, self._next)
-        # NaN if an increment is not finite, so that no test accepts it
+        # the contraction is NaN if an increment is not finite, so that no test accepts the increment
         contraction = self.norm(self._next, self._base, self.state) / size if size != 0 else 0.0
         return self.norm(self._next, self.state), contraction
 

@@ -102,9 +102,9 @@ class NewtonOptions:
         Sparse direct solver of the coupled solver: "umfpack", or, if the installation has it, "pardiso"
         (``pip install mkl``) or "mumps".
     coarse : str
-        Solver for the vertices' velocities in the two levels of the split solver.  "direct" factorises the
-        matrix of the vertices; "gamg" and "hypre" are PETSc's multigrids for more vertices than can be
-        factorised.  A warning says if a run does not use the multigrid.
+        Solver for the vertices' velocities in the two-level preconditioner of the split solver.  "direct"
+        factorises the matrix of the vertices; "gamg" and "hypre" are PETSc's multigrids for more vertices
+        than can be factorised.  A warning says if a run does not use the multigrid.
     method : str
         "coupled" solves for all unknowns at once (small meshes), "split" for the velocity, with the fields
         as functions of the velocity (large meshes).  "auto" chooses "coupled" or "split" by the mesh, and

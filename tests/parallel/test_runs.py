@@ -133,7 +133,7 @@ def assert_same_ledger(one, several, spare=0):
             size = energy if name.startswith("closure") else max(abs(value), 1e-3)
             # defects are differences of determinants near 1
             size = 1.0 if name.startswith("defect_") else size
-            # these columns are exact relative to the momentum
+            # errors of these columns are relative to the momentum
             if "momentum" in name or name.startswith("impulse_"):
                 size = max(size, row["momentum_size"])
             if name == "limiter":  # this column is a difference of stored energies
@@ -309,7 +309,7 @@ def test_a_run_is_resumed_with_any_number_of_ranks(case_file, tmp_path, case):
     for name in ("centre", "forces"):
         tables = [[read(place / "samples" / f"{name}.csv") for place in (alone, several)]]
         assert_same_tables(*zip(*tables, strict=True))
-    # one file, in the numbering of one process
+    # ranks write one file, with unknowns numbered as on one process
     with h5py.File(alone / "run.h5") as a, h5py.File(several / "run.h5") as b:
         assert a.attrs["mesh"] == b.attrs["mesh"]
         state, other = (file["checkpoints/00000003/state"][:] for file in (a, b))
@@ -322,7 +322,7 @@ def test_a_run_is_resumed_with_any_number_of_ranks(case_file, tmp_path, case):
 @pytest.mark.parametrize(
     ("case", "ranks"),
     [
-        # "adapted" is "periodic" on other cells in every step, "regularised" has all systems of "split"
+        # "adapted" is "periodic" with other cells in every step; "regularised" solves all systems of "split"
         *(by_ci(*case) for case in (("coupled", 4), ("regularised", 3), ("adapted", 3), ("yield", 3))),
         *(pytest.param(*case, marks=pytest.mark.long) for case in (("split", 4), ("periodic", 4))),
     ],

@@ -109,7 +109,7 @@ def test_sums_over_bodies_equal_the_ledger(whole):
     assert total("kinetic") == pytest.approx(ledger.column("kinetic"), rel=1e-8, abs=1e-12)
     assert total("stored") == pytest.approx(ledger.column("stored"), rel=1e-10)
     assert (table.column("disc_dissipation")[1:] > 0).all()
-    # the limiter changes the state at the end of a step; constants in cells change by rounding only
+    # m = 0: the limiter, which changes the state at the end of a step, changes constants by rounding only
     table = nv.Bodies()
     ledger = simulation(table, m=0).run(0.04)
     parts = ("stokes_bulk", "stokes_shear", "creep")

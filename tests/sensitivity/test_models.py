@@ -70,7 +70,7 @@ def test_tangents_and_adjoints_are_limits_of_differences(make, name, value, opti
     h = 1e-3 * value
     up, down = (measure(make(value + s * h, **options), UNTIL, OF) for s in (1, -1))
     assert np.allclose(tangent, (up - down) / (2 * h), rtol=3e-6, atol=0)
-    # sums with 600 J of heat have larger rounding errors, and differences divide them by the spacing (NOTES)
+    # sums with 600 J of heat have larger rounding errors, which differences divide by the spacing (NOTES)
     assert np.allclose(adjoint, tangent, rtol=3e-6 if make is heated else 1e-6, atol=0)
 
 

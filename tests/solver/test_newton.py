@@ -129,7 +129,7 @@ def cancelling(size: float):
     return lambda u: (u - 1) + (size * (u + 1) - size * u - size)
 
 
-# the cancelling parts leave about size times eps: more than 10 tolerances, less than 100
+# the cancelling parts leave increments of more than 10 and less than 100 tolerances
 ROUNDED = {"tolerance": 1e-12, "equation": cancelling(1.5e4)}
 
 

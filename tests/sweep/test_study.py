@@ -48,7 +48,7 @@ def sweep(case_file, directory, *words):
     return main(["sweep", str(case_file), "-o", str(directory), *words])
 
 
-# an estimate of the error that no step meets, and no smaller step allowed
+# no step meets the tolerance 1e-12, and shorter steps are not allowed
 FAILING = "time.adaptive.tolerance=1,1e-12"
 ADAPTIVE = [f"--set=time.adaptive.{name}=0.02" for name in ("dt_min", "dt_max")]
 

@@ -152,7 +152,7 @@ def squeezed(material, speed, dt):
 
 
 @pytest.mark.long
-# cells are a sixth of the box wide
+# cells are as long as a sixth of the box, so that the warning is expected
 @pytest.mark.filterwarnings("ignore::ngvisco.run.signs.DissipationWarning")
 def test_J_of_a_squeezed_fluid_passes_zero_only_if_the_energy_is_continued():
     """With J_min, J passes zero. Without J_min, the limiter keeps J of the same fluid above zero, or the run

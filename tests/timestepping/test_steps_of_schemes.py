@@ -63,7 +63,7 @@ OF_CI = {
     "heat, coupled": HEATED | {"solver": "coupled"},
     "heat, split": HEATED | {"solver": "split"},
     "yield, split": YIELDING | {"solver": "split"},
-    # the file contains no pointwise energies
+    # the checkpoint contains no values of the regularised energy at points
     "Yosida": {"material": nv.Yosida(material=NEO_HOOKEAN, eps=0.02), "creep": nv.Creep(G_m=2.0)},
     "damage": {
         "material": DAMAGED,

@@ -45,7 +45,7 @@ from ngvisco.parallel.communicator import Communicator
 from ngvisco.words import Words, call
 
 _PARALLEL = 1e-10
-# rad: two facets with a smaller angle lie in one plane, since the angle is rounding of their coordinates
+# rad; two facets with a smaller angle lie in one plane, up to rounding of their coordinates
 _FLAT = 1e-4
 _CORNER = np.deg2rad(59.0)  # a larger angle is a corner of the domain, not of its approximation
 _CURVED = 0.5  # largest ratio, on a curved wall, of the facets' angle to their chords' angle; 1 if straight
@@ -98,8 +98,8 @@ def interior_boundaries(mesh: Mesh) -> set[str]:
 def walls_of(mesh: Mesh, names: Iterable[str]) -> Region:
     """The boundaries with ``names``, without parts that lie between two cells.
 
-    Interfaces between subdomains often share the name of all unnamed boundaries.  If all parts of a name are
-    interfaces, the result has all of them.
+    Interfaces between subdomains often have the name that all boundaries without a name of their own share.
+    If all parts of a name are interfaces, the result has all of them.
     """
     chosen, boundaries = set(names), mesh.GetBoundaries()
     mask = BitArray(len(boundaries))

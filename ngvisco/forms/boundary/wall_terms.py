@@ -302,8 +302,8 @@ class Carried(OnWall):
 
 
 class StoredMean(CellMean):
-    """Equation of the cell mean of phi, Pa, for energies that have values at the points of the cells' rule
-    only.
+    """Equation of the cell mean of phi, Pa, for energies that have values only at the points of the cells'
+    rule.
 
     Bodies of different volumetric energies and Yosida's approximation have such energies.  On a wall the mean
     plus zeta : (z - z_K) replaces phi, where z_K is the value at the middle of the cell.  The error of this

@@ -335,7 +335,8 @@ def distortion_of(material: Material, values: Given) -> CoefficientFunction | No
 
 
 def _moduli(step: Step) -> Iterator[str]:
-    """Yield a warning of bulk moduli too different for overshooting amounts (``Mixture.positive``)."""
+    """Yield a warning if the bulk moduli of two bodies differ so much that the bodies may have no common
+    pressure where an amount is negative (``Mixture.positive``)."""
     material, m = step.model.material, step.discretisation.m
     if isinstance(material, Mixture) and m and not material.has_one_volume:
         (soft, least), *_, (stiff, most) = sorted(material.stiffnesses.items(), key=lambda item: item[1])
@@ -355,7 +356,8 @@ _CORNERS = {et: IntegrationRule(VERTICES[et], [0.0] * len(VERTICES[et])) for et 
 
 
 def warn_of_corners(step: Step, times: Sequence[float]) -> None:
-    """Warn if walls' velocities alone change a volume e-fold from the first to the last time, s; collective.
+    """Warn if walls' velocities alone change a volume by more than a factor e between the first and the last
+    of ``times``, s; collective.
 
     If all edges of a cell at a vertex lie on walls that prescribe v, these edges determine the cell's grad v
     at the vertex, for any order of v: no pressure can control div v.  Under a lid of speed U that meets a

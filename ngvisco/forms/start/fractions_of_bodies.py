@@ -137,7 +137,7 @@ def _require_some_body_in_each_cell(mesh: Mesh, names: Sequence[str], remainder:
 
 
 def _require_order(mesh: Mesh, placed: Sequence[Body], shapes: Mapping[str, Shape]) -> None:
-    """Raise ParameterError for two overlapping bodies of one order."""
+    """Raise ParameterError if two bodies of the same order overlap."""
     for i, first in enumerate(placed):
         for second in (later for later in placed[i + 1 :] if later.order == first.order):
             a, b = shapes[first.name], shapes[second.name]

@@ -84,8 +84,8 @@ class Initial:
         pressure is zero except for gases and materials with stress at rest.
     values : mapping of names to coefficient functions, optional
         Initial values by name. Values of the material's variables replace the values that follow from F.
-        Values of further terms' evolving unknowns are zero by default.  The value of a body's tensor is the
-        tensor times the body's amount; the amount is the body's share of the volume divided by det F.
+        Values of further terms' evolving unknowns are zero by default.  For a body's tensor, give the
+        tensor times the body's amount, which is the body's volume fraction over det F.
     """
 
     density: Annotated[ScalarLike | None, Quantity("kg/m^3", "> 0", 1.0)] = None

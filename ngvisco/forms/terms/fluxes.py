@@ -1,6 +1,6 @@
 """Fluxes down the gradient of a potential, through cells and facets.
 
-Let mu be the potential, j = M grad mu the flux and chi a test. By an interior penalty the term is
+Let mu be the potential, j = M grad mu the flux and chi a test. With an interior penalty, the term is
 
     int j . grad chi - sum_K int_{dK} (f - f_hat) chi,      f = j . n - p (mu - mu_hat), p = s M/h,
 

@@ -45,7 +45,7 @@ def resolved(
         length = abs(newton - s)
         # if all Newton steps have equal lengths, as for an exponential rate, the bracket is halved instead
         accepted = (newton >= low) & (newton <= high) & (length <= 0.5 * moved)
-        # the bracket has no upper end for a rate that gives energy
+        # the bracket has no upper end if M : rate(M) is negative
         middle = np.where(high < np.inf, 0.5 * (low + high), 2 * s)
         s, moved = np.where(done, s, np.where(accepted, newton, middle)), np.where(accepted, length, np.inf)
         done |= accepted & (length <= _LAST * size)

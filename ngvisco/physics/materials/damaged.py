@@ -117,8 +117,8 @@ class Damaged(Wrapper):
     falls only by errors of transport, where matter moves through the mesh.
 
     Raises ParameterError if a parameter is out of its range, or if the material has stress at rest, an energy
-    without an expression, or no volume that defines compression. A material of small strain has one area, so
-    that ``"reference"`` is refused.
+    without an expression, or a variable whose spherical part is unknown. A material of small strain has one
+    area, so that ``"reference"`` is refused.
 
     Example::
 

@@ -124,7 +124,7 @@ class IsotropicElastic(Material):
         return (self.by_B if self.is_by_B else self.by_F, Jacobian())
 
     def first_invariant(self, z: Values) -> Tensor:
-        """The invariant |F|^2 times the tensor's power of J."""
+        """Trace of B, or squared norm of the tensor by F: |F|^2 times a power of J."""
         return tr(z["B"]) if self.is_by_B else square(z[self.by_F.name])
 
 

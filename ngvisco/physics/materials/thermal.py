@@ -79,10 +79,10 @@ class Thermal(Material):
 
     With ``expansion`` the thermal pressure is Gamma c (theta - theta_R) with Gamma c = K ``expansion``. K is
     the (isothermal) bulk modulus at rest of the material without heat. With ``gruneisen`` the thermal
-    pressure is Gamma c theta/J; without another material this is an ideal gas with the adiabatic exponent 1 +
-    Gamma. With ``p_infinity`` it is a stiffened gas, a model of liquids, whose pressure is lower by
-    ``p_infinity``. Raises ParameterError if a parameter is out of its range, if parameters contradict one
-    another, or if the material has heat already.
+    pressure is Gamma c theta/J. If there is no other material, ``Thermal`` with ``gruneisen`` is an ideal gas
+    with the adiabatic exponent 1 + Gamma. With ``p_infinity`` this gas becomes a stiffened gas, a model of
+    liquids, whose pressure is lower by ``p_infinity``. Raises ParameterError if a parameter is out of its
+    range, if parameters contradict one another, or if the material has heat already.
 
     Example::
 

@@ -64,6 +64,6 @@ class Wear:
         return {_FIRST: float(self._first), _BEYOND: float(self._beyond), _NEW: self._new}
 
     def load_state_dict(self, numbers: Mapping[str, float]) -> None:
-        """Restore the counts and the contraction; they begin anew if the checkpoint has none."""
+        """Restore the counts and the contraction; they are 0 if the checkpoint does not contain them."""
         self._first, self._beyond = (int(numbers.get(name, 0.0)) for name in (_FIRST, _BEYOND))
         self._new, self._present = float(numbers.get(_NEW, 0.0)), 0.0
