@@ -165,7 +165,7 @@ def test_creep_that_gives_energy_by_an_overshooting_modulus_is_warned_of():
         creep=nv.Creep(G_m=0.01 + soft),
     )
     mesh, time = box((1, 1), maxh=0.5), nv.TimeSteps(dt=0.02, limiter=False)
-    run = nv.Simulation(mesh, model, time=time, initial=nv.Initial(velocity=SWIRL), solver="split")
+    run = nv.Simulation(mesh, model, time=time, initial=nv.Initial(velocity=SWIRL), solver="coupled")
     with pytest.warns(
         nv.CreepPowerWarning, match=r"Creep\.G_m is -.* at a point, since a parameter .* arithmetic"
     ):

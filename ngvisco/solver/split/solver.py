@@ -235,14 +235,7 @@ class Split:
         # if rounding or a poor tangent slows the iteration, the sum of all remaining increments has to be
         # small
         gained = max(1 - size / last, 0.0) or 1.0
-        return self.size(f, coarse=True) <= gained * tolerance or self.is_rounding(f, size)
-
-    def is_rounding(self, f: np.ndarray, size: float) -> bool:
-        """Whether the increment f of the present state, with its ``size``, is accepted as rounding."""
-        return (
-            self.size(f, coarse=True) <= self.norm.noise_cap * self.options.tolerance
-            and size <= self._noise()
-        )
+        return self.size(f, coarse=True) <= gained * tolerance
 
     def _is_worn(self, size: float) -> bool:
         """Whether the increment of length ``size`` shows that its tangent, which is an old one, is outdated.
@@ -384,7 +377,7 @@ def newton_krylov(split: Split, problem: Problem, x: np.ndarray, history: list[N
             damping /= 2
             split.step.stresses.undo()
             if damping < _MIN_DAMPING or size <= tolerance:
-                return ends_at(x, size <= tolerance or split.is_rounding(f, size))
+                return ends_at(x, size <= tolerance)
         history.append(NewtonIteration(new_size, new_size / size, damping, True))
         at, x, f, size = new, new_x, new_f, new_size
         if size <= options.margin * tolerance:
