@@ -552,7 +552,8 @@ def test_a_failed_run_over_ranks_has_the_message_of_one_process(tmp_path):
     one = read_frame(tmp_path / "on 1" / "failed.vtu").fields
     other = read_frame(several / "failed.pvtu").fields
     assert one["out_of_bounds"].sum() == other["out_of_bounds"].sum() > 0
-    assert other["F"].min() == pytest.approx(one["F"].min(), rel=1e-10)
+    # on a small mesh, one process has another tangent than several ranks
+    assert other["F"].min() == pytest.approx(one["F"].min(), rel=1e-9)
     # the next attempt removes the reports of the failure
     assert ngvisco("resume", several, "--until", "0.2", "--quiet").returncode == 0
     assert not list(several.glob("failed*"))
