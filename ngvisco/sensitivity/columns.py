@@ -83,9 +83,9 @@ class Columns:
         refused |= dict.fromkeys(
             ledger.momentum.balances, "this column is the change of the momentum minus the impulses"
         )
-        step = simulation.rothe_step
-        if step.walls.multiplied and not simulation.integrator.scheme.ends_at_last_stage:
-            refused |= {f"power_wall_{name}": _OF_MULTIPLIERS for name in step.moving_walls.moving}
+        if not simulation.integrator.scheme.ends_at_last_stage:
+            beside = simulation.integrator.velocity.multiplied(simulation.rothe_step.moving_walls.moving)
+            refused |= {f"power_wall_{name}": _OF_MULTIPLIERS for name in beside}
         for table in self._tables:
             refused |= table.jumping if isinstance(table, Bodies) else {}
         for name in self.names:

@@ -31,6 +31,10 @@ from ngvisco.parallel.petsc import PETScInverse
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.problem import BlockNorm, NewtonIteration, Problem, Solution, Status, unconverged
 
+NOISE_CAP = 100.0
+"""Largest increment that is accepted as rounding, in tolerances. A stalled increment is accepted if it is
+below the noise (``BlockNorm.noise``), and below this number of tolerances in the norm with the coarse floor.
+In this norm a velocity that comes to rest counts by the strain that it makes."""
 NEAR = 10.0
 """Number of tolerances below which a stalled increment is accepted without a measurement of the noise. The
 rounding of a stiff pressure may change a slow velocity by as much."""
@@ -281,7 +285,7 @@ class Newton:
     def _is_rounding(self) -> bool:
         """Whether the next increment is no larger than rounding errors."""
         tolerance, coarse = self.options.tolerance, self.norm(self._next, self.state, coarse=True)
-        if not tolerance < coarse <= self.norm.noise_cap * tolerance:
+        if not tolerance < coarse <= NOISE_CAP * tolerance:
             return coarse <= tolerance
         size = self.norm(self._next, self.state)
         return size <= NEAR * tolerance or size <= self._noise()
@@ -292,7 +296,7 @@ class Newton:
         if not self.norm(self._increment, self.state) <= self._noise():
             return Status.STALLED
         coarse = self.norm(self._increment, self.state, coarse=True)
-        return Status.CONVERGED if coarse <= self.norm.noise_cap * self.options.tolerance else Status.ROUNDING
+        return Status.CONVERGED if coarse <= NOISE_CAP * self.options.tolerance else Status.ROUNDING
 
     def _noise(self) -> float:
         """The noise (``BlockNorm.noise``) of the present increment.

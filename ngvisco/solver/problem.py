@@ -54,11 +54,6 @@ class BlockNorm:
     ``exchange`` belongs to the space of the vectors, and is needed if several ranks share this space.
     """
 
-    noise_cap = 100.0
-    """Largest increment that is accepted as rounding, in tolerances. A stalled increment is accepted if it is
-    below the noise, and below this number of tolerances in the norm with the coarse floor. In this norm a
-    velocity that comes to rest counts by the strain that it makes."""
-
     def __init__(
         self,
         ranges: Mapping[str, slice | np.ndarray],

@@ -134,7 +134,7 @@ class Integrator:
         """Walls' impulse on the rows of v at the last step's end over its length, N, or None."""
 
     @cached_property
-    def _velocity(self) -> VelocityOfMomentum:
+    def velocity(self) -> VelocityOfMomentum:
         step, rho = self.step, self.step.now.rho
         walls, rules = step.impenetrability, step.quadrature
         return VelocityOfMomentum(step.layout, step.state, rho, step.momentum_old, walls, rules)
@@ -262,7 +262,7 @@ class Integrator:
             step.moving_walls.set_present_values()
         if (reason := self.bounds.defect(is_solved=False)) is not None:
             raise StepError(f"{reason} at the end of the step; take a smaller step or a finer mesh")
-        before = np.zeros_like(self._velocity.v)
+        before = np.zeros_like(self.velocity.v)
         if self.bounds.limits and self.bounds.is_exceeded() and not is_stage:
             before = self._impulse_before_limiting(before)
         limited, limiter_energy = self.bounds.limit(tau) if self.bounds.limits else 0, 0.0
@@ -272,21 +272,20 @@ class Integrator:
             change = {name: state[ranges[name]] - old[ranges[name]] for name in moved}
             limiter_energy = -self.distance.slope(states[-1], change)
             limiter_energy += self._limiter_energy_of_momentum(states[-1])
-        impulse = self._velocity(keeps_walls=is_stage)
+        impulse = self.velocity(keeps_walls=is_stage)
         self.impulse = impulse / tau
         rows = before if is_changed else impulse
         v, moving = states[-1].values["v"], step.moving_walls.moving
-        for name, work in self._velocity.works(rows, v, moving).items():
+        for name, work in self.velocity.works(rows, v, moving).items():
             rates[f"power_wall_{name}"] += work / tau
-        of_limiter = self._velocity.works(impulse - rows, v, moving) if is_changed else {}
-        lost = {LIMITER: limiter_energy, LIMITER_WALLS: 0.0 - sum(of_limiter.values())}
-        return step.evolved(), limited, lost
+        works = self.velocity.works(impulse - rows, v, moving) if is_changed else {}
+        return step.evolved(), limited, {LIMITER: limiter_energy, LIMITER_WALLS: 0.0 - sum(works.values())}
 
     def _limiter_energy_of_momentum(self, stage: Evolved) -> float:
         """Limit the momentum density.  Return -<change of m, V> with the velocity V of a stage, J."""
-        before = self._velocity.functional()
+        before = self.velocity.functional()
         self.bounds.limit_momentum()
-        return -self.rothe.exchange.communicator.dot(self._velocity.functional() - before, stage.values["v"])
+        return -self.rothe.exchange.communicator.dot(self.velocity.functional() - before, stage.values["v"])
 
     def _impulse_before_limiting(self, otherwise: np.ndarray) -> np.ndarray:
         """Impulse of the walls that follows from the density before limiting.
@@ -294,13 +293,13 @@ class Integrator:
         The result is ``otherwise`` if no velocity follows from this density.  The method is called only at
         combined ends: an end that is a stage's solution satisfies the rows of v already.
         """
-        kept = self._velocity.v.copy()
+        kept = self.velocity.v.copy()
         try:
-            return self._velocity()
+            return self.velocity()
         except StepError:  # a density that is negative at points may have no positive mass matrix
             return otherwise
         finally:
-            self._velocity.v[:] = kept
+            self.velocity.v[:] = kept
 
     def _complete(self) -> None:
         """Update dependent unknowns at an end that is no stage's solution.

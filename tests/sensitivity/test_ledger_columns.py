@@ -12,7 +12,7 @@ from test_adjoint import between, curved, directional, smooth
 from test_models import heated
 
 import ngvisco as nv
-from ngvisco.geometries import half_disc
+from ngvisco.geometries import block_with_hole, half_disc
 from ngvisco.sensitivity.distance_slopes import DistanceSlopes
 from tests.verification.cases.sensitivities import measure
 
@@ -214,6 +214,18 @@ def test_the_power_of_a_wall_beside_a_curved_wall_has_a_derivative_if_a_stage_en
             derivative()
     else:
         assert derivative().values[0] == simulation.run(0.02).column("power_wall_axis")[-1]
+
+
+def test_the_power_of_a_wall_away_from_a_curved_wall_has_a_derivative_in_every_scheme():
+    simulation = nv.Simulation(
+        block_with_hole((1, 1), 0.25, 1),
+        nv.Model(material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)),
+        time=nv.TimeSteps(dt=0.02, scheme="midpoint"),
+        walls={"top": nv.PrescribedTangential((nv.time, 0.0))},
+        initial=nv.Initial(density=1.0),
+    )
+    found = nv.gradient(simulation, 0.02, of=["power_wall_top at 0.02"], by=["material.G_e"])
+    assert found.values[0] == pytest.approx(simulation.run(0.02).column("power_wall_top")[-1], rel=1e-9)
 
 
 @pytest.mark.parametrize("method", ["tangent", "adjoint"])

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from ngsolve import CF, cos, pi, x
+from ngsolve import CF, cos, pi, x, z
 from test_facet_tangent import VISCOSITY, swelling
 
 import ngvisco as nv
@@ -60,6 +60,11 @@ def test_the_amount_grows_by_the_exchange_through_walls(solver):
     came = 0.05 * (ledger.column("exchange_c_left") + ledger.column("exchange_c_right"))[1:]
     assert abs(came).max() > 1e-3
     assert np.allclose(np.diff(ledger.column("amount_c")), came, rtol=1e-12)
+
+
+def test_an_exchange_that_reads_z_is_refused_in_the_plane():
+    with pytest.raises(ParameterError, match=r"walls\['left'\] = .*a mesh in the plane has no z"):
+        run_of(through={"left": nv.WallExchange(potential=z, coefficient=1.0)})
 
 
 def test_the_steady_potential_is_linear_between_a_flux_and_a_reservoir():

@@ -81,9 +81,9 @@ def test_the_velocity_after_limiting_follows_from_the_limited_density_and_moment
     run.run(2 * DT)
     thin_out(run)
     run.advance()
-    impulse = run.integrator._velocity()
-    free = run.integrator._velocity.free
-    momentum = np.linalg.norm(run.integrator._velocity._load.vec.FV().NumPy())
+    impulse = run.integrator.velocity()
+    free = run.integrator.velocity.free
+    momentum = np.linalg.norm(run.integrator.velocity._load.vec.FV().NumPy())
     assert run.ledger.rows[-1]["limited_cells"] == 1
     assert np.abs(impulse[free]).max() <= 1e-13 * momentum
     assert np.abs(impulse[~free]).max() > 1e-6 * momentum

@@ -193,6 +193,15 @@ class VelocityOfMomentum:
         works = {name: ranks.dot(rows[mask], v[mask]) for name, (_, mask) in moving.items()}
         return works | {name: float(ranks.total(work)) for name, work in of_pistons.items()}
 
+    def multiplied(self, moving: Mapping[str, tuple[CoefficientFunction, np.ndarray]]) -> list[str]:
+        """Names of the ``moving`` walls, as in ``works``, whose coefficients of v multipliers constrain."""
+        if self._walls is None:
+            return []
+        # a facet's cell also has coefficients that vanish on the facet, up to rounding
+        sizes = abs(self._walls.prescribed).sum(axis=0).A1
+        is_bound = sizes > _ENOUGH * sizes.max(initial=0.0)
+        return [name for name, (_, mask) in moving.items() if is_bound[mask[~self.free]].any()]
+
     def functional(self) -> np.ndarray:
         """Functional <m, .> in this rank's cells, (unknowns of v,)."""
         return self._load.Assemble().vec.FV().NumPy().copy()
