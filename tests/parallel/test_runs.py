@@ -559,6 +559,48 @@ def test_a_failed_run_over_ranks_has_the_message_of_one_process(tmp_path):
     assert not list(several.glob("failed*"))
 
 
+ROUNDING = """
+import json
+import warnings
+import ngvisco as nv
+from ngvisco.geometries import annulus, box
+
+matter = nv.Model(material=nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0), loads=[nv.Gravity((0.0, -1.0))])
+with warnings.catch_warnings(record=True) as caught:
+    warnings.simplefilter("always")
+    start = nv.Initial(density=1.0, equilibrium="hydrostatic", datum="top")
+    nv.Simulation(box((1, 1), 0.5), matter, dt=0.1, walls={"top": nv.Open(pressure=0.5)}, initial=start)
+ring = nv.Simulation(
+    annulus(1.0, 2.0, 0.8),
+    nv.Model(material=matter.material),
+    dt=0.5,
+    halvings=0,
+    initial=nv.Initial(density=1e-3),
+    walls={"inner": nv.Open(pressure=0.1), "outer": nv.Open()},
+    newton=nv.NewtonOptions(method="split"),
+)
+try:
+    ring.run(2.0)
+    said = "solved"
+except nv.StepError as error:
+    said = str(error)
+if ring.ranks.rank == 0:
+    print(json.dumps([said, [str(one.message) for one in caught]]))
+"""
+
+
+@pytest.mark.long
+@pytest.mark.ci
+@pytest.mark.parametrize("ranks", [1, 3])
+def test_rounding_and_the_pressure_of_the_datum_are_measured_over_ranks(tmp_path, ranks):
+    """With three ranks the first rank has no cells."""
+    script = tmp_path / "ring.py"
+    script.write_text(ROUNDING)
+    said, warned = printed(script, ranks=ranks)
+    assert "the increment is rounding of the equations" in said
+    assert any("Initial.datum_pressure gives" in text and "0.5 Pa" in text for text in warned)
+
+
 FAILING = """
 import sys
 import numpy
